@@ -1,0 +1,241 @@
+"""The profile: every setting of a run, read from YAML and validated at once.
+
+An unknown key is an error that names the nearest known one. Settings have no hidden defaults elsewhere in the
+package: what is not in the profile's YAML stands here, each with its reason.
+"""
+
+import difflib
+import hashlib
+import json
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from dualdepth.errors import InputError
+
+PROFILES = Path(__file__).parent / "profiles"
+Size = Annotated[tuple[int, int], Field(description="(height, width) in pixels")]
+
+
+class Settings(BaseModel):
+    """Base of all sections: unknown keys are refused, values are fixed once read."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class World(Settings):
+    """The embedded synthetic street world (`data_scripts/make_miniature.py`)."""
+
+    train_seed: int = 1
+    """Seed of the training streets."""
+    test_seed: int = 1001
+    """Seed of the streets that are scored; never used to choose anything in `miniature`."""
+    size: Size = (208, 656)
+    """Size of the raw frames."""
+    supersample: int = 3
+    """Rays per pixel side: the anti-aliasing that lets a full-resolution image hold more than its small copy."""
+    train_drives: int = 3
+    frames_per_drive: int = 40
+    test_drives: int = 2
+    test_frames: int = 8
+    """Scored frames a test drive."""
+    static_frames: int = 6
+    """Length of the stretch in the first training drive where the camera stands still."""
+    odometry_train: int = 1
+    odometry_test: int = 2
+    odometry_frames: int = 30
+    """Frames a training sequence; test sequences go on until their path is longer than 250 m."""
+    make3d_images: int = 3
+
+
+class Data(Settings):
+    """Which frames are trained on and which are scored."""
+
+    source: Literal["miniature", "kitti"]
+    train_list: str | None = None
+    """Name of a field's list with its training triplets (`eigen_zhou`), used unchanged; else `train_drives`."""
+    train_drives: list[str] = []
+    """Drives like `2011_09_26/2011_09_26_drive_0095_sync`; neighbours in number make a triplet."""
+    cameras: list[str] = ["image_02"]
+    """Camera folders a drive is read from; the first that exists is used by `train_drives`."""
+    test_list: str | None = None
+    """Name of a list (`eigen_test`) or path of a file with the frames to score."""
+    allow_missing: bool = False
+    """Score what is there of an incomplete test list, and say "25 of 697" in the table."""
+    hr_size: Size = (384, 1248)
+    """Input of HR-Net; LR-Net sees exactly a third of it (paper, section "Dual Network Architecture")."""
+
+    @model_validator(mode="after")
+    def _sizes(self) -> "Data":
+        if any(side % 96 for side in self.hr_size):
+            raise ValueError(f"hr_size {self.hr_size}: both sides must be multiples of 96 (a third of each is divided by 32)")
+        if self.source == "kitti" and not self.train_list and not self.train_drives:
+            raise ValueError("give train_list or train_drives")
+        return self
+
+    @property
+    def lr_size(self) -> tuple[int, int]:
+        """Input of LR-Net, (height, width)."""
+        return self.hr_size[0] // 3, self.hr_size[1] // 3
+
+
+class Augmentation(Settings):
+    """Random scale and crop (PROTOCOLS of the lineage: SfMLearner, GeoNet); the paper names no flip and no colour change."""
+
+    max_scale: float = Field(1.15, ge=1.0)
+    """Independent enlargement of x and y, uniform in [1, max_scale] (SfMLearner, GeoNet)."""
+    augment_first: bool = True
+    """Scale and crop at full resolution, then down-sample (paper, "Implementation Details")."""
+    beyond_paper_flip: bool = False
+    """Beyond the paper: mirror half of the samples."""
+
+
+class Loss(Settings):
+    """Weights of the paper's total loss; it gives none of them."""
+
+    photometric: float = 1.0
+    """λ1."""
+    smoothness: float = 0.1
+    """λ2, halved at each coarser scale; acts on mean-normalised inverse depth."""
+    feature: float = 0.01
+    """λ3; 0 switches the feature reconstruction loss off (the paper argues for it)."""
+    alpha: float = 0.85
+    """Share of SSIM in the photometric loss (paper)."""
+    mean_disparity: float = 10.0
+    """Spatial mean that each image's disparity is divided to, as DDVO codes it (0.1 × the mean)."""
+    scales: int = Field(4, ge=1, le=4)
+    """Resolutions 1/1, 1/2, 1/4, 1/8 (paper)."""
+    beyond_paper_automask: bool = False
+    """Beyond the paper: drop pixels that the unwarped source explains better (monodepth2)."""
+
+
+class Stage(Settings):
+    """One training stage."""
+
+    epochs: int = 40
+    """40 + 40 in the paper."""
+    batch_size: int = 4
+    """4 in the paper, both stages."""
+    learning_rates: list[tuple[int, float]] = [(10, 2e-4), (20, 1e-4), (40, 5e-5)]
+    """(last epoch, rate): the paper's steps. In shorter runs the epochs are stretched in proportion."""
+    beta1: float = 0.9
+    beta2: float = 0.999
+    max_steps: int | None = None
+    """Ends the stage early; None trains all epochs."""
+
+
+class Training(Settings):
+    """Both stages and how they run; nothing here but `precision` changes what is learned."""
+
+    encoder: str = "resnet50"
+    """LR-Net's encoder: resnet50, resnet18, mobilenet_v2, or a hierarchical AutoBackbone's name or folder."""
+    pretrained: bool = True
+    """ImageNet weights for the encoder (paper); false needs no network."""
+    lr: Stage = Stage()
+    augmentation: Augmentation = Augmentation()
+    loss: Loss = Loss()
+    precision: Literal["float32", "bf16"] = "bf16"
+    """Of the networks; geometry and losses are always float32."""
+    channels_last: bool = True
+    workers: int = 2
+    """Loader processes."""
+    cache_gib: float = 1.0
+    """Memory for decoded frames over all loader processes: each frame serves three triplets."""
+    accumulate: int = 1
+    """Batches per optimiser step, for GPUs that cannot hold the batch of 4."""
+    checkpoint_every: int = 200
+    """Steps between resumable checkpoints."""
+    log_every: int = 20
+    """Steps between rows of the log."""
+    panel_every: int = 500
+    """Steps between image panels (target, warped, depth, error)."""
+
+
+class Evaluation(Settings):
+    """The protocol of the main table; the field's standard is the default (PROTOCOLS B1)."""
+
+    resize: Literal["depth", "disparity"] = "depth"
+    """What is resized to the ground truth's size; SfMLearner and GeoNet resize depth."""
+    crop: Literal["garg", "eigen", "none"] = "garg"
+    min_depth: float = 1e-3
+    max_depth: float = 80.0
+
+
+class Profile(Settings):
+    """Everything a run needs to know."""
+
+    name: str
+    about: str
+    """One sentence for tables and reports: what the numbers of this profile are numbers of."""
+    seeds: list[int] = [0]
+    world: World | None = None
+    data: Data
+    training: Training = Training()
+    evaluation: Evaluation = Evaluation()
+
+    @model_validator(mode="after")
+    def _world_given(self) -> "Profile":
+        if (self.data.source == "miniature") != (self.world is not None):
+            raise ValueError("data.source: miniature needs a section `world`, and only it")
+        return self
+
+    def digest(self, *sections: str) -> str:
+        """Short content hash of the named sections (dots go deeper), for stamps and for what to run again."""
+        values: dict[str, Any] = {}
+        for section in sections:
+            value: Any = self
+            for part in section.split("."):
+                value = getattr(value, part)
+            values[section] = value.model_dump(mode="json") if isinstance(value, BaseModel) else value
+        return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def profile_file(name: str) -> Path:
+    """Path of a profile: one of the package's by name, or a YAML file of the user's own.
+
+    Raises:
+        InputError: there is no such profile.
+    """
+    path = Path(name) if name.endswith((".yaml", ".yml")) else PROFILES / f"{name}.yaml"
+    if not path.is_file():
+        known = sorted(p.stem for p in PROFILES.glob("*.yaml"))
+        raise InputError(f"profile {name!r} not found: choose one of {', '.join(known)} or give the path of a .yaml file")
+    return path
+
+
+def load_profile(name: str) -> Profile:
+    """Read and validate a profile.
+
+    Args:
+        name: `tiny`, `miniature`, `sample`, `paper`, or the path of a YAML file; the run is named by the file's stem.
+
+    Raises:
+        InputError: no such profile, no valid YAML, or a bad key or value; the message names the file and the nearest known key.
+    """
+    path = profile_file(name)
+    try:
+        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: not a YAML file: {error}") from None
+    if not isinstance(values, dict):
+        raise InputError(f"{path}: expected a mapping of settings, found {type(values).__name__}")
+    try:
+        return Profile(**{"name": path.stem} | values)
+    except ValidationError as error:
+        raise InputError(f"{path}: {'; '.join(_explain(e) for e in error.errors())}") from None
+
+
+def _explain(error: Any) -> str:
+    """One validation error as a phrase: where, what, and for an unknown key the nearest known one."""
+    where = ".".join(str(part) for part in error["loc"]) or "profile"
+    if error["type"] != "extra_forbidden":
+        return f"{where}: {error['msg']}"
+    section: type[BaseModel] = Profile
+    for part in error["loc"][:-1]:
+        annotation = section.model_fields[part].annotation
+        candidates = [annotation, *getattr(annotation, "__args__", ())]
+        section = next(c for c in candidates if isinstance(c, type) and issubclass(c, BaseModel))
+    near = difflib.get_close_matches(str(error["loc"][-1]), section.model_fields, n=1, cutoff=0.0)
+    return f"unknown setting {where}; did you mean {near[0]}?"

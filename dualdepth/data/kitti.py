@@ -1,0 +1,187 @@
+"""KITTI raw on disk: frame lists, image files, calibration.
+
+Layout, as KITTI unpacks: `ROOT/2011_09_26/calib_cam_to_cam.txt`,
+`ROOT/2011_09_26/2011_09_26_drive_0095_sync/image_02/data/0000000000.png` (or .jpg).
+"""
+
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from dualdepth.errors import InputError
+
+CAMERA_OF_SIDE = {"l": "image_02", "r": "image_03"}
+SUFFIXES = (".png", ".jpg", ".jpeg")
+
+
+class Frame(NamedTuple):
+    """One camera frame: `drive` is `date/date_drive_XXXX_sync`, `camera` a folder like `image_02`."""
+
+    drive: str
+    index: int
+    camera: str = "image_02"
+
+    @property
+    def date(self) -> str:
+        """Recording day, the folder that holds the calibration."""
+        return self.drive.split("/")[0]
+
+    def __str__(self) -> str:
+        return f"{self.drive}/{self.camera}/{self.index:010d}"
+
+
+def read_frame_list(path: str | Path) -> list[Frame]:
+    """Read a list in the field's format, one `2011_09_26/2011_09_26_drive_0052_sync 0000000000 l` a line.
+
+    The side `l` or `r` may be missing (left). Empty lines are skipped.
+
+    Raises:
+        InputError: no such file, no frames, or a malformed line, which is named with its number.
+    """
+    path = Path(path)
+    frames = []
+    for number, line in _lines(path):
+        match = re.fullmatch(r"(\d{4}_\d{2}_\d{2})/(\1_drive_\d{4}_sync) (\d{1,10})(?: ([lr]))?", line)
+        if not match:
+            raise InputError(f"{path}, line {number}: {line[:80]!r} is not `date/date_drive_XXXX_sync frame l|r`")
+        frames.append(Frame(f"{match[1]}/{match[2]}", int(match[3]), CAMERA_OF_SIDE[match[4] or "l"]))
+    if not frames:
+        raise InputError(f"{path}: the list is empty")
+    return frames
+
+
+def read_static_frames(path: str | Path) -> set[tuple[str, int]]:
+    """Read the field's list of frames where the camera stands still, as (drive, index): `date date_drive_XXXX_sync index`."""
+    path = Path(path)
+    static = set()
+    for number, line in _lines(path):
+        match = re.fullmatch(r"(\d{4}_\d{2}_\d{2}) (\1_drive_\d{4}_sync) (\d{1,10})", line)
+        if not match:
+            raise InputError(f"{path}, line {number}: {line[:80]!r} is not `date date_drive_XXXX_sync frame`")
+        static.add((f"{match[1]}/{match[2]}", int(match[3])))
+    return static
+
+
+def read_test_scenes(path: str | Path) -> set[str]:
+    """Read the drives that hold test frames (`2011_09_26_drive_0117` a line), as `date/date_drive_XXXX_sync`."""
+    path = Path(path)
+    scenes = set()
+    for number, line in _lines(path):
+        match = re.fullmatch(r"(\d{4}_\d{2}_\d{2})_drive_\d{4}", line)
+        if not match:
+            raise InputError(f"{path}, line {number}: {line[:80]!r} is not `date_drive_XXXX`")
+        scenes.add(f"{match[1]}/{line}_sync")
+    return scenes
+
+
+def _lines(path: Path) -> list[tuple[int, str]]:
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot read the list ({error})") from None
+    return [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
+
+
+def check_root(root: str | Path) -> Path:
+    """The KITTI raw folder, checked to hold recording days with calibration.
+
+    Raises:
+        InputError: it is missing or holds no `20XX_XX_XX/calib_cam_to_cam.txt`.
+    """
+    root = Path(root)
+    if not root.is_dir():
+        raise InputError(f"KITTI_ROOT {root} is not a folder: give the folder that holds 2011_09_26, 2011_09_28, …")
+    if not any(root.glob("20??_??_??/calib_cam_to_cam.txt")):
+        raise InputError(f"KITTI_ROOT {root} holds no 2011_*/calib_cam_to_cam.txt: give the folder that holds the date folders")
+    return root
+
+
+def image_path(root: str | Path, frame: Frame) -> Path | None:
+    """Path of a frame's image, PNG or JPEG, or None where there is none."""
+    folder = Path(root) / frame.drive / frame.camera / "data"
+    for suffix in SUFFIXES:
+        path = folder / f"{frame.index:010d}{suffix}"
+        if path.is_file():
+            return path
+    return None
+
+
+def velodyne_path(root: str | Path, frame: Frame) -> Path:
+    """Path of the laser scan taken with a frame."""
+    return Path(root) / frame.drive / "velodyne_points" / "data" / f"{frame.index:010d}.bin"
+
+
+def read_image(path: str | Path) -> np.ndarray:
+    """Decode an image to RGB.
+
+    Returns:
+        (H, W, 3) uint8; grey files are repeated over the three channels.
+
+    Raises:
+        InputError: missing, empty, truncated or no image.
+    """
+    path = Path(path)
+    try:
+        data = np.fromfile(path, np.uint8)
+    except OSError as error:
+        raise InputError(f"{path}: cannot read the image ({error.strerror})") from None
+    truncated = (data[:2].tobytes() == b"\xff\xd8" and b"\xff\xd9" not in data[-64:].tobytes()) or (
+        data[:4].tobytes() == b"\x89PNG" and b"IEND" not in data[-16:].tobytes()
+    )
+    image = None
+    if data.size and not truncated:
+        image = cv2.imdecode(data, cv2.IMREAD_COLOR_RGB)
+    if image is None:
+        what = "truncated" if truncated else "not an image that can be decoded"
+        raise InputError(f"{path}: {what} ({data.size} bytes); copy or download it again")
+    return image
+
+
+def read_calibration(path: str | Path) -> dict[str, np.ndarray]:
+    """Read a `key: numbers` calibration file (`calib_cam_to_cam.txt`, `calib_velo_to_cam.txt`, odometry's `calib.txt`).
+
+    Returns:
+        Flat float64 arrays by key; lines that hold no numbers (`calib_time`) are left out.
+
+    Raises:
+        InputError: the file cannot be read or holds no calibration.
+    """
+    path = Path(path)
+    values = {}
+    for _, line in _lines(path):
+        key, _, rest = line.partition(":")
+        try:
+            values[key.strip()] = np.array([float(x) for x in rest.split()])
+        except ValueError:
+            continue
+    if not values:
+        raise InputError(f"{path}: holds no `key: numbers` line; give KITTI's own calibration file")
+    return values
+
+
+def calibration_entry(values: dict[str, np.ndarray], key: str, size: int, path: str | Path) -> np.ndarray:
+    """The entry `key` of a calibration with `size` finite numbers.
+
+    Raises:
+        InputError: it is missing, of another length or not finite; the message names `path` and `key`.
+    """
+    entry = values.get(key)
+    if entry is None:
+        raise InputError(f"{path}: has no {key}; known are {', '.join(list(values)[:12])}")
+    if entry.size != size or not np.isfinite(entry).all():
+        raise InputError(f"{path}: {key} must be {size} finite numbers, found {entry.size}")
+    return entry
+
+
+def intrinsics(root: str | Path, date: str, camera: str = "image_02") -> np.ndarray:
+    """Intrinsics of a rectified camera, from `P_rect` of `calib_cam_to_cam.txt`.
+
+    Returns:
+        (3, 3) float64 in pixels of the raw frame; pixel (0, 0) is the centre of the first pixel.
+    """
+    path = Path(root) / date / "calib_cam_to_cam.txt"
+    projection = calibration_entry(read_calibration(path), f"P_rect_{camera[-2:]}", 12, path)
+    return projection.reshape(3, 4)[:, :3].copy()
