@@ -141,8 +141,6 @@ class Training(Settings):
     channels_last: bool = True
     workers: int = 2
     """Loader processes."""
-    cache_gib: float = 1.0
-    """Memory for decoded frames over all loader processes: each frame serves three triplets."""
     accumulate: int = 1
     """Batches per optimiser step, for GPUs that cannot hold the batch of 4."""
     checkpoint_every: int = 200

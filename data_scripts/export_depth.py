@@ -1,0 +1,91 @@
+"""Write the ground-truth depth of a list of KITTI raw frames to one npz file.
+
+    python data_scripts/export_depth.py --kitti ROOT --list FILE --out G.npz
+
+One plain float32 array per frame, in metres, 0 where there is no measurement; its key is the frame's place in the list (`%06d`).
+The default is the laser's forward coordinate, as in all published numbers on the Eigen split.
+"""
+
+import argparse
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from dualdepth.data.depth_maps import save_ground_truth
+from dualdepth.data.kitti import Frame, check_root, read_frame_list, velodyne_path
+from dualdepth.data.lidar import ground_truth, improved_ground_truth, improved_path
+from dualdepth.errors import InputError, exit_on_input_error
+
+
+def present_frames(paths: dict[int, Path | None], frames: list[Frame], allow_missing: bool) -> list[int]:
+    """Places in the list of the frames whose file exists.
+
+    Raises:
+        InputError: files are missing and not allowed to be, or all are; the one message lists every missing file.
+    """
+    present = [number for number, path in paths.items() if path is not None and path.is_file()]
+    missing = [str(paths[number] or frames[number]) for number in paths if number not in set(present)]
+    if missing and (not allow_missing or not present):
+        mend = "" if allow_missing else "; download them, or pass --allow-missing to export the rest"
+        raise InputError(f"{len(missing)} of {len(frames)} files are missing{mend}: {', '.join(missing)}")
+    if missing:
+        print(f"{len(missing)} of {len(frames)} files are missing and left out: {', '.join(missing)}")
+    return present
+
+
+def export(
+    kitti: str | Path | None, frame_list: str | Path, out: str | Path, *, camera_z: bool, improved: str | Path | None, allow_missing: bool
+) -> int:
+    """Write the ground truth of `frame_list` to `out` and return the number of maps; arguments as on the command line."""
+    frames = read_frame_list(frame_list)
+    if improved is None:
+        root = check_root(kitti)
+        paths = {number: velodyne_path(root, frame) for number, frame in enumerate(frames)}
+    else:
+        paths = {number: improved_path(improved, frame) for number, frame in enumerate(frames)}
+    present = present_frames(paths, frames, allow_missing)
+
+    def maps() -> Iterator[np.ndarray]:
+        # a bar in a pipe would break the one-line error
+        for number in tqdm(present, "ground truth", unit="frame", disable=None):
+            frame = frames[number]
+            yield improved_ground_truth(improved, frame) if improved else ground_truth(root, frame, camera_z=camera_z)
+
+    return save_ground_truth(out, maps(), (f"{number:06d}" for number in present))
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command line; 0 when the file is written.
+
+    Raises:
+        SystemExit: code 2, after one line on stderr, for bad input.
+    """
+    parser = argparse.ArgumentParser(description="Write the ground-truth depth of KITTI raw frames to one npz file.")
+    parser.add_argument("--kitti", metavar="ROOT", help="folder that holds 2011_09_26, 2011_09_28, …; needed unless --improved is given")
+    parser.add_argument("--list", required=True, metavar="FILE", help="lines like `2011_09_26/2011_09_26_drive_0052_sync 0000000000 l`")
+    parser.add_argument("--out", required=True, metavar="G.npz", help="file to write")
+    kind = parser.add_mutually_exclusive_group()
+    kind.add_argument("--camera-z", action="store_true", help="depth along the camera's axis instead of the laser's forward coordinate")
+    kind.add_argument("--improved", metavar="ROOT", help="take KITTI's accumulated maps (data_depth_annotated) under this folder instead")
+    parser.add_argument("--allow-missing", action="store_true", help="leave out frames whose file is missing; else they are an error")
+    arguments = parser.parse_args(argv)
+    with exit_on_input_error():
+        if not (arguments.kitti or arguments.improved):
+            raise InputError("give --kitti ROOT, the folder that holds 2011_09_26, 2011_09_28, …")
+        count = export(
+            arguments.kitti,
+            arguments.list,
+            arguments.out,
+            camera_z=arguments.camera_z,
+            improved=arguments.improved,
+            allow_missing=arguments.allow_missing,
+        )
+        print(f"{arguments.out}: {count} depth maps")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""The embedded synthetic street world: streets, solids, ray casting, colours, and KITTI's file formats."""

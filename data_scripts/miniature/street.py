@@ -1,0 +1,83 @@
+"""The road of a street: its curved centre line, and street coordinates of any point on the ground.
+
+World frame: x right, y down, z forward (metres), the ground is y = 0. Street coordinates: `s` is the path length
+along the centre line, `d` the distance to the right of it. All angles are radians; heading 0 looks along +z.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.spatial import cKDTree
+
+STEP = 0.25
+"""Distance of neighbouring points of the centre line."""
+BEHIND = 40.0
+"""The road begins this far before s = 0."""
+CELL = 0.5
+"""Grid of the map from world to street coordinates; both are smooth, so bilinear interpolation is good to millimetres."""
+MARGIN = 90.0
+"""The map reaches this far beyond the centre line; points outside take the nearest cell's values."""
+
+CROSS_SECTION = ((4.0, "road"), (6.0, "parking"), (6.25, "curb"), (8.2, "sidewalk"), (np.inf, "grass"))
+"""What the ground is, by the largest |d| of each strip."""
+
+
+@dataclass(frozen=True)
+class Street:
+    """Centre line and its lookup grid, made by `build_street`."""
+
+    s: np.ndarray
+    """(N,) path length."""
+    points: np.ndarray
+    """(N, 2) x, z."""
+    heading: np.ndarray
+    """(N,)."""
+    corner: np.ndarray
+    """(2,) x, z of the map's first cell centre."""
+    grid: np.ndarray
+    """(rows z, columns x, 2) float32: s, d."""
+
+    def place(self, s: float | np.ndarray, d: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """World position (…, 2) as x, z, and heading (…) of the road at street coordinates `s`, `d`."""
+        heading = np.interp(s, self.s, self.heading)
+        x, z = (np.interp(s, self.s, self.points[:, k]) for k in (0, 1))
+        return np.stack([x + d * np.cos(heading), z - d * np.sin(heading)], -1), heading
+
+    def curvature(self, s: float | np.ndarray) -> np.ndarray:
+        """Change of heading per metre at `s`."""
+        return (np.interp(np.add(s, 1.0), self.s, self.heading) - np.interp(np.subtract(s, 1.0), self.s, self.heading)) / 2
+
+    def coordinates(self, x: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Street coordinates `s`, `d` of ground points, two (N,) float32 arrays; N below 32,767 (OpenCV's limit)."""
+        column = ((x - self.corner[0]) / CELL).astype(np.float32).clip(0, self.grid.shape[1] - 1)
+        row = ((z - self.corner[1]) / CELL).astype(np.float32).clip(0, self.grid.shape[0] - 1)
+        both = cv2.remap(self.grid, column[None], row[None], cv2.INTER_LINEAR)[0]
+        return both[:, 0], both[:, 1]
+
+
+def build_street(rng: np.random.Generator, length: float, bend: float, wavelength: float) -> Street:
+    """Draw a centre line and tabulate its street coordinates.
+
+    The heading is a sum of sines, so that the road never turns back onto itself.
+
+    Args:
+        rng: source of the phases.
+        length: last `s` that has to exist, metres.
+        bend: largest heading away from straight ahead, radians; at most about 1.2.
+        wavelength: length of a full left-right bend, metres.
+    """
+    s = np.arange(-BEHIND, length + STEP, STEP)
+    phase = rng.uniform(0, 2 * np.pi, 2)
+    share = rng.uniform(0.75, 0.9)
+    heading = bend * (share * np.sin(2 * np.pi * s / wavelength + phase[0]) + (1 - share) * np.sin(5 * np.pi * s / wavelength + phase[1]))
+    points = np.cumsum(np.stack([np.sin(heading), np.cos(heading)], -1) * STEP, 0)
+    points -= points[np.argmin(abs(s))]
+    corner = points.min(0) - MARGIN
+    columns, rows = np.ceil((np.ptp(points, axis=0) + 2 * MARGIN) / CELL).astype(int) + 1
+    x, z = np.meshgrid(corner[0] + CELL * np.arange(columns), corner[1] + CELL * np.arange(rows))
+    nearest = cKDTree(points).query(np.stack([x.ravel(), z.ravel()], -1))[1].reshape(x.shape)
+    dx, dz = x - points[nearest, 0], z - points[nearest, 1]
+    sin, cos = np.sin(heading[nearest]), np.cos(heading[nearest])
+    grid = np.stack([s[nearest] + dx * sin + dz * cos, dx * cos - dz * sin], -1).astype(np.float32)
+    return Street(s, points, heading, corner, grid)

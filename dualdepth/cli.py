@@ -1,0 +1,50 @@
+"""The command `dualdepth`: one parser, one small `add_*` function per subcommand."""
+
+import argparse
+import sys
+from typing import NoReturn
+
+from dualdepth import __version__
+from dualdepth.commands.evaluate_depth import add_evaluate_depth
+from dualdepth.errors import exit_on_input_error
+
+
+class OneLineParser(argparse.ArgumentParser):
+    """An argument parser whose error is one line, without the usage before it."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print the mistake and where help is, and exit with code 2."""
+        print(f"error: {' '.join(message.split())}; see `{self.prog} --help`", file=sys.stderr)
+        raise SystemExit(2)
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The parser with all subcommands; each sets `run`, a function of the parsed arguments that returns the exit code."""
+    parser = OneLineParser(prog="dualdepth", description="Dual networks for high-resolution depth from videos (ICCV 2019), replicated.")
+    parser.add_argument("--version", action="version", version=f"dualdepth {__version__}")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    evaluate = commands.add_parser("evaluate", help="score predictions by the field's protocols")
+    kinds = evaluate.add_subparsers(title="what to evaluate", metavar="KIND", required=True)
+    add_evaluate_depth(kinds)
+    return parser
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command line.
+
+    Args:
+        argv: arguments without the program's name; None takes those of the process.
+
+    Returns:
+        Exit code, 0 for success.
+
+    Raises:
+        SystemExit: code 2 after one line on stderr, for a user's mistake; code 0 after `--help` or `--version`.
+    """
+    arguments = build_parser().parse_args(argv)
+    with exit_on_input_error():
+        return arguments.run(arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

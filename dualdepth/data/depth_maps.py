@@ -1,0 +1,132 @@
+"""Files of ground-truth depth: our npz, one plain float32 array per image, and the field's pickled one.
+
+Maps are written and read one by one, so that the 697 of the Eigen split need not be in memory together.
+"""
+
+import zipfile
+import zlib
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+
+from dualdepth.atomic import atomic_path
+from dualdepth.errors import InputError
+
+FIELD_KEY = "data"
+
+
+def save_ground_truth(path: str | Path, maps: Iterable[np.ndarray], names: Iterable[str] | None = None) -> int:
+    """Write depth maps to a compressed npz, atomically, one array per image in the given order and without pickle.
+
+    The same maps give the same bytes.
+
+    Args:
+        path: the npz file.
+        maps: (H, W) depth in metres each, 0 where there is no measurement; sizes may differ. May be a generator.
+        names: a key for each map; else its number as `%06d`.
+
+    Returns:
+        Number of maps written.
+
+    Raises:
+        InputError: a map is not two-dimensional, there is none, or the file cannot be written.
+    """
+    path = Path(path)
+    count = 0
+    keys = iter(names) if names is not None else (f"{number:06d}" for number in range(10**6))
+    try:
+        with atomic_path(path) as partial:
+            with zipfile.ZipFile(partial, "w") as archive:
+                for depth in maps:
+                    if depth.ndim != 2:
+                        raise InputError(f"{path}: map {count} has shape {depth.shape}; expected (height, width)")
+                    # a fixed date keeps the bytes the same
+                    member = zipfile.ZipInfo(f"{next(keys)}.npy", (1980, 1, 1, 0, 0, 0))
+                    member.compress_type = zipfile.ZIP_DEFLATED
+                    with archive.open(member, "w", force_zip64=True) as file:
+                        np.lib.format.write_array(file, np.ascontiguousarray(depth, np.float32), allow_pickle=False)
+                    count += 1
+            if not count:
+                raise InputError(f"{path}: no depth maps to write")
+    except OSError as error:
+        raise InputError(f"{path}: cannot write the ground truth ({error.strerror})") from None
+    return count
+
+
+class DepthMaps(Sequence):
+    """Depth maps of a ground-truth file in their order, each read when it is asked for.
+
+    `maps[i]` is (H, W) float in metres; `maps.names` holds the keys.
+    """
+
+    def __init__(self, path: Path, archive: "np.lib.npyio.NpzFile", pickled: Sequence[np.ndarray] | None) -> None:
+        self.path = path
+        self.names = list(archive.files) if pickled is None else [f"{number:06d}" for number in range(len(pickled))]
+        self._archive = archive
+        self._pickled = pickled
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def __getitem__(self, index: int) -> np.ndarray:
+        name = self.names[index]
+        depth = _member(self.path, self._archive, name) if self._pickled is None else np.asarray(self._pickled[index])
+        if depth.ndim != 2 or not depth.size or depth.dtype.kind != "f":
+            raise InputError(f"{self.path}: {name} is {depth.dtype} of shape {depth.shape}; expected a float array (height, width)")
+        return depth
+
+    def __iter__(self) -> Iterator[np.ndarray]:
+        # the next map is unpacked in a thread while this one is used
+        with ThreadPoolExecutor(1) as reader:
+            ahead = [reader.submit(self.__getitem__, 0)] if len(self) else []
+            for index in range(1, len(self) + 1):
+                depth = ahead.pop().result()
+                if index < len(self):
+                    ahead.append(reader.submit(self.__getitem__, index))
+                yield depth
+
+    def __repr__(self) -> str:
+        return f"DepthMaps({str(self.path)!r}, {len(self)} maps)"
+
+
+def load_ground_truth(path: str | Path, *, allow_pickle: bool = False) -> DepthMaps:
+    """Open a file of depth maps.
+
+    Args:
+        path: an npz with one float array per image, or the field's `gt_depths.npz` with all of them under `data`.
+        allow_pickle: also read pickled object arrays, which the field's file is. A pickle can run any code, so
+            say so only for files from a source you trust.
+
+    Raises:
+        InputError: missing, truncated, no npz, empty, or pickled without `allow_pickle`.
+    """
+    path = Path(path)
+    try:
+        archive = np.load(path, allow_pickle=allow_pickle, encoding="latin1") if path.is_file() else None
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise InputError(f"{path}: not a readable npz file ({error}); write it with data_scripts/export_depth.py") from None
+    if archive is None:
+        raise InputError(f"{path}: no such file; write it with data_scripts/export_depth.py")
+    if not isinstance(archive, np.lib.npyio.NpzFile):
+        raise InputError(f"{path}: not an npz file; write it with data_scripts/export_depth.py")
+    if not archive.files:
+        raise InputError(f"{path}: holds no depth maps")
+    pickled = None
+    if archive.files == [FIELD_KEY]:
+        values = _member(path, archive, FIELD_KEY)
+        if values.dtype == object or values.ndim == 3:
+            pickled = list(values)
+    return DepthMaps(path, archive, pickled)
+
+
+def _member(path: Path, archive: "np.lib.npyio.NpzFile", name: str) -> np.ndarray:
+    try:
+        return archive[name]
+    except ValueError as error:
+        if "allow_pickle" in str(error):
+            raise InputError(f"{path}: {name} is pickled; pass --allow-pickle if you trust the source of this file") from None
+        raise InputError(f"{path}: {name} cannot be read ({error}); the file is damaged, write it again") from None
+    except (OSError, EOFError, KeyError, zipfile.BadZipFile, zlib.error) as error:
+        raise InputError(f"{path}: {name} cannot be read ({error}); the file is damaged, write it again") from None

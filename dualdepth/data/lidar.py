@@ -1,0 +1,163 @@
+"""Ground-truth depth of KITTI raw frames: projected laser scans and the improved, accumulated maps.
+
+The projection is the one that the published Eigen-split numbers were scored with, quirks included (SfMLearner
+`kitti_eval/depth_evaluation_utils.py`, monodepth2 `kitti_utils.py`; PROTOCOLS B1). A pixel of 0 has no measurement.
+"""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from dualdepth.data.kitti import Frame, calibration_entry, image_path, read_calibration, velodyne_path
+from dualdepth.errors import InputError
+
+
+def read_scan(path: str | Path) -> np.ndarray:
+    """Read a Velodyne scan.
+
+    Returns:
+        (N, 4) float32 in the laser's frame: forward, left, up in metres, and reflectance.
+
+    Raises:
+        InputError: missing, empty, of a size that is no multiple of 16 bytes, or not finite.
+    """
+    path = Path(path)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot read the laser scan ({error.strerror})") from None
+    if not data or len(data) % 16:
+        raise InputError(f"{path}: {len(data)} bytes are not a laser scan (4 float32 = 16 bytes a point); copy or download it again")
+    scan = np.frombuffer(data, "<f4").reshape(-1, 4)
+    if not np.isfinite(scan).all():
+        raise InputError(f"{path}: holds values that are not finite, so it is not a laser scan; copy or download it again")
+    return scan
+
+
+def velodyne_projection(root: str | Path, date: str, camera: str = "image_02") -> np.ndarray:
+    """Matrix from laser points to pixels of a rectified camera: P_rect · R_rect_00 · (R, T of velo→cam).
+
+    Returns:
+        (3, 4) float64; it maps homogeneous laser points in metres to (u·z, v·z, z), z the camera's depth in metres.
+
+    Raises:
+        InputError: a calibration file or one of its entries is missing or malformed.
+    """
+    cameras, cameras_path = _calibration(root, date, "calib_cam_to_cam.txt")
+    laser, laser_path = _calibration(root, date, "calib_velo_to_cam.txt")
+    to_camera, to_rectified = np.eye(4), np.eye(4)
+    to_camera[:3, :3] = calibration_entry(laser, "R", 9, laser_path).reshape(3, 3)
+    to_camera[:3, 3] = calibration_entry(laser, "T", 3, laser_path)
+    to_rectified[:3, :3] = calibration_entry(cameras, "R_rect_00", 9, cameras_path).reshape(3, 3)
+    to_pixels = calibration_entry(cameras, f"P_rect_{camera[-2:]}", 12, cameras_path).reshape(3, 4)
+    return to_pixels @ to_rectified @ to_camera
+
+
+def _calibration(root: str | Path, date: str, name: str) -> tuple[dict[str, np.ndarray], Path]:
+    path = Path(root) / date / name
+    if not path.is_file():
+        raise InputError(f"{path}: missing; unpack that day's calibration ({date}_calib.zip) into the KITTI root")
+    return read_calibration(path), path
+
+
+def depth_from_scan(scan: np.ndarray, projection: np.ndarray, size: tuple[int, int], *, camera_z: bool = False) -> np.ndarray:
+    """Project a laser scan to a sparse depth map, equal to the field's code bit for bit.
+
+    Args:
+        scan: (N, 4) points in the laser's frame, metres.
+        projection: (3, 4) laser to pixels, see `velodyne_projection`.
+        size: (height, width) of the map in pixels.
+        camera_z: store the depth along the camera's axis; else the laser's forward coordinate, as in all published
+            numbers of this lineage (the two differ by the lever arm of about 0.27 m).
+
+    Returns:
+        (H, W) float32 in metres, 0 where there is no measurement.
+    """
+    height, width = size
+    points = scan[scan[:, 0] >= 0].astype(np.float64)
+    points[:, 3] = 1.0
+    u, v, z = projection @ points.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # rint is half-to-even; the −1 comes from the 1-based MATLAB kit
+        column, row = np.rint(u / z) - 1, np.rint(v / z) - 1
+    inside = (column >= 0) & (row >= 0) & (column < width) & (row < height)
+    column, row = column[inside].astype(np.intp), row[inside].astype(np.intp)
+    value = (z if camera_z else points[:, 0])[inside]
+
+    depth = np.zeros(size)
+    depth[row, column] = value
+    if value.size:
+        # The field groups points by row·(W−1) + column − 1, which joins a row's last cell with the next row's first:
+        # the nearest depth of a group goes to the cell of its first point, other cells keep their last point.
+        group = row * (width - 1) + column - 1
+        order = np.argsort(group, kind="stable")
+        starts = np.flatnonzero(np.diff(group[order], prepend=-2))
+        first = order[starts]
+        depth[row[first], column[first]] = np.minimum.reduceat(value[order], starts)
+    return np.maximum(depth, 0).astype(np.float32)
+
+
+def ground_truth(root: str | Path, frame: Frame, *, camera_z: bool = False) -> np.ndarray:
+    """Sparse depth of a frame from the laser scan of the same number, at the size of its image.
+
+    Without the image the size is the calibration's `S_rect`, which is the same on KITTI raw.
+
+    Returns:
+        (H, W) float32 in metres, 0 where there is no measurement.
+
+    Raises:
+        InputError: scan, image or calibration is missing or broken.
+    """
+    scan = read_scan(velodyne_path(root, frame))
+    projection = velodyne_projection(root, frame.date, frame.camera)
+    return depth_from_scan(scan, projection, map_size(root, frame), camera_z=camera_z)
+
+
+def map_size(root: str | Path, frame: Frame) -> tuple[int, int]:
+    """(height, width) of a frame in pixels: of its image, read from the header alone, or else the calibration's `S_rect`.
+
+    Raises:
+        InputError: the image has no readable header, or there is neither an image nor a usable calibration.
+    """
+    path = image_path(root, frame)
+    if path is None:
+        values, calibration = _calibration(root, frame.date, "calib_cam_to_cam.txt")
+        width, height = calibration_entry(values, f"S_rect_{frame.camera[-2:]}", 2, calibration)
+        return int(height), int(width)
+    import PIL.Image
+
+    try:
+        with PIL.Image.open(path) as image:
+            return image.height, image.width
+    except (OSError, SyntaxError):
+        raise InputError(f"{path}: not an image that can be read ({path.stat().st_size} bytes); copy or download it again") from None
+
+
+def improved_path(root: str | Path, frame: Frame) -> Path | None:
+    """Path of a frame's accumulated depth map in KITTI's `data_depth_annotated` (with or without `train`, `val` or dates), or None."""
+    drive = frame.drive.split("/")[-1]
+    for folder in (f"train/{drive}", f"val/{drive}", frame.drive, drive):
+        path = Path(root) / folder / "proj_depth" / "groundtruth" / frame.camera / f"{frame.index:010d}.png"
+        if path.is_file():
+            return path
+    return None
+
+
+def improved_ground_truth(root: str | Path, frame: Frame) -> np.ndarray:
+    """Accumulated, filtered laser depth of a frame (Uhrig et al. 2017; 652 of the 697 Eigen test frames have it).
+
+    Returns:
+        (H, W) float32 in metres along the camera's axis, 0 where there is no measurement.
+
+    Raises:
+        InputError: there is no such map, or the file is no 16-bit PNG with one channel.
+    """
+    path = improved_path(root, frame)
+    if path is None:
+        raise InputError(f"{root}: has no proj_depth/groundtruth map of {frame}; give the folder that data_depth_annotated.zip unpacks to")
+    data = np.fromfile(path, np.uint8)
+    values = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    if values is None or values.dtype != np.uint16 or values.ndim != 2:
+        raise InputError(f"{path}: not a 16-bit depth PNG ({data.size} bytes); copy or download it again")
+    return values.astype(np.float32) / 256

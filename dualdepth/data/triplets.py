@@ -1,0 +1,140 @@
+"""Training triplets: a target frame and its two neighbours in time (PROTOCOLS of Zhou et al.: static frames and test drives left out)."""
+
+import csv
+import os
+from collections.abc import Collection, Iterable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from dualdepth.atomic import atomic_path
+from dualdepth.data.kitti import SUFFIXES, Frame, intrinsics
+from dualdepth.errors import InputError
+
+
+class Triplet(NamedTuple):
+    """Files of the target, previous and next frame, and the camera's intrinsics (3, 3) in pixels of the raw frame."""
+
+    name: str
+    paths: tuple[Path, Path, Path]
+    intrinsics: np.ndarray
+
+
+def drive_triplets(
+    root: str | Path,
+    drives: Iterable[str],
+    cameras: Sequence[str] = ("image_02",),
+    static: Collection[tuple[str, int]] = (),
+    test_scenes: Collection[str] = (),
+) -> list[Frame]:
+    """Targets whose neighbours in number, of the same drive and camera, are there and not static.
+
+    Args:
+        root: KITTI raw folder.
+        drives: `date/date_drive_XXXX_sync`.
+        cameras: camera folders in order of preference; the first that a drive has is read.
+        static: (drive, index) of frames where the camera stands still.
+        test_scenes: drives that hold test frames; naming one in `drives` is an error.
+
+    Raises:
+        InputError: a test drive among `drives`, drives without frames (all named at once), or no triplet at all.
+    """
+    drives = list(drives)
+    leaked = sorted(set(drives) & set(test_scenes))
+    if leaked:
+        raise InputError(f"training drives {', '.join(leaked)} hold test frames: take them out of train_drives")
+    targets, empty = [], []
+    for drive in drives:
+        camera, indices = _frames_of(Path(root) / drive, cameras)
+        if not indices:
+            empty.append(drive)
+        moving = indices - {i for d, i in static if d == drive}
+        targets += [Frame(drive, i, camera) for i in sorted(moving) if {i - 1, i + 1} <= moving]
+    if empty:
+        raise InputError(f"{root}: no frames in {' or '.join(cameras)} of {len(empty)} drives: {', '.join(empty)}; download them first")
+    if not targets:
+        raise InputError(f"{root}: no three consecutive moving frames in {', '.join(drives)}; training needs at least one triplet")
+    return targets
+
+
+def _frames_of(drive: Path, cameras: Sequence[str]) -> tuple[str, set[int]]:
+    for camera in cameras:
+        folder = drive / camera / "data"
+        if folder.is_dir():
+            stems = {e.name.split(".")[0] for e in os.scandir(folder) if Path(e.name).suffix in SUFFIXES}
+            indices = {int(s) for s in stems if s.isdigit()}
+            if indices:
+                return camera, indices
+    return cameras[0], set()
+
+
+def missing_neighbours(root: str | Path, targets: Iterable[Frame]) -> list[Frame]:
+    """Frames of the targets' triplets that have no image file; each folder is listed once."""
+    have: dict[str, set[str]] = {}
+    missing = []
+    for target in targets:
+        folder = f"{target.drive}/{target.camera}/data"
+        if folder not in have:
+            path = Path(root) / folder
+            have[folder] = {e.name for e in os.scandir(path)} if path.is_dir() else set()
+        for offset in (-1, 0, 1):
+            frame = target._replace(index=target.index + offset)
+            if not any(f"{frame.index:010d}{s}" in have[folder] for s in SUFFIXES):
+                missing.append(frame)
+    return sorted(set(missing))
+
+
+def name_missing(what: str, root: str | Path, missing: Sequence[Frame], shown: int = 20) -> InputError:
+    """One message for all missing files: their count, the drives they are of, and the first `shown` of them."""
+    drives = sorted({frame.drive for frame in missing})
+    listed = ", ".join(str(frame) for frame in missing[:shown]) + (", …" if len(missing) > shown else "")
+    return InputError(
+        f"{root}: {len(missing)} {what} are missing, of {len(drives)} drives ({', '.join(drives)}): {listed}; "
+        "download the drives with data_scripts/download_kitti.py"
+    )
+
+
+def write_targets(path: str | Path, root: str | Path, targets: Iterable[Frame]) -> None:
+    """Write targets as CSV `drive,camera,index,suffix`, atomically; the suffix is looked up once per folder."""
+    suffixes: dict[tuple[str, str], str] = {}
+    with atomic_path(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["drive", "camera", "index", "suffix"])
+        for frame in targets:
+            key = frame.drive, frame.camera
+            if key not in suffixes:
+                suffixes[key] = _suffix(Path(root) / frame.drive / frame.camera / "data", frame)
+            writer.writerow([frame.drive, frame.camera, frame.index, suffixes[key]])
+
+
+def _suffix(folder: Path, frame: Frame) -> str:
+    return next((s for s in SUFFIXES if (folder / f"{frame.index:010d}{s}").is_file()), SUFFIXES[0])
+
+
+def read_targets(path: str | Path) -> list[tuple[Frame, str]]:
+    """Read what `write_targets` wrote: (target, suffix).
+
+    Raises:
+        InputError: the file is missing or not such a CSV.
+    """
+    try:
+        with open(path, newline="", encoding="utf-8") as file:
+            return [(Frame(r["drive"], int(r["index"]), r["camera"]), r["suffix"]) for r in csv.DictReader(file)]
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: no list of prepared targets ({error!r}); run notebook 02_prepare_data") from None
+
+
+def load_triplets(path: str | Path, root: str | Path) -> list[Triplet]:
+    """Prepared triplets with full paths and intrinsics, in the list's order."""
+    root = Path(root)
+    cameras: dict[tuple[str, str], np.ndarray] = {}
+    triplets = []
+    for frame, suffix in read_targets(path):
+        key = frame.date, frame.camera
+        if key not in cameras:
+            cameras[key] = intrinsics(root, *key)
+        folder = root / frame.drive / frame.camera / "data"
+        paths = tuple(folder / f"{frame.index + offset:010d}{suffix}" for offset in (0, -1, 1))
+        triplets.append(Triplet(str(frame), paths, cameras[key]))
+    return triplets

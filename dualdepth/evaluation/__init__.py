@@ -1,0 +1,1 @@
+"""Protocols and measures; knows nothing of networks."""

@@ -1,0 +1,116 @@
+"""Depth predictions without learning, which every trained model has to beat: constant, per-row mean, train-set mean map.
+
+All three are means of sparse ground truth: sums and counts on a grid that is laid over the image, so that images of several sizes can be
+mixed and a frame's own drive can be left out by subtraction.
+"""
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from dualdepth.errors import InputError
+
+BASELINES = ("constant", "row_mean", "mean_map")
+GRID = (47, 156)
+"""Cells of about 8 × 8 KITTI pixels: sparse scans of few frames fill them; from 4 to 32 pixels the scores hardly change."""
+
+
+class DepthSums(NamedTuple):
+    """Sums and counts of the valid depths in each cell of a grid over the image; sums of several image sets can be added or subtracted."""
+
+    total: np.ndarray
+    """(h, w) float64, metres."""
+    count: np.ndarray
+    """(h, w) int64, valid pixels."""
+
+    def plus(self, other: "DepthSums", sign: int = 1) -> "DepthSums":
+        """Both sets together; with sign −1, this set without the other, which must be part of it."""
+        return DepthSums(self.total + sign * other.total, self.count + sign * other.count)
+
+
+def depth_sums(maps: Iterable[np.ndarray], *, grid: tuple[int, int], max_depth: float) -> DepthSums:
+    """Gather sparse depth maps on a grid.
+
+    Args:
+        maps: (H, W) depth in metres each, 0 where there is no measurement; sizes may differ.
+        grid: (h, w) cells over the whole image.
+        max_depth: metres; only depths strictly between 0 and this count, as in the evaluation.
+    """
+    sums = DepthSums(np.zeros(grid), np.zeros(grid, np.int64))
+    for depth in maps:
+        rows, columns = np.nonzero((depth > 0) & (depth < max_depth))
+        cell = rows * grid[0] // depth.shape[0] * grid[1] + columns * grid[1] // depth.shape[1]
+        total = np.bincount(cell, depth[rows, columns].astype(np.float64), minlength=grid[0] * grid[1])
+        count = np.bincount(cell, minlength=grid[0] * grid[1])
+        sums = sums.plus(DepthSums(total.reshape(grid), count.reshape(grid)))
+    return sums
+
+
+def mean_depth(sums: DepthSums, baseline: str) -> np.ndarray:
+    """A baseline's depth on the grid.
+
+    Args:
+        sums: the training side's depths.
+        baseline: one of `BASELINES`: the mean over everything; over each row of the grid, a row without a measurement taking the nearest
+            row that has one; over each cell, a cell without one taking its row's mean.
+
+    Returns:
+        (1, 1), (h, 1) or (h, w) float32, metres, all positive.
+
+    Raises:
+        InputError: there is no valid depth, or no such baseline.
+    """
+    if not sums.count.any():
+        raise InputError("the training ground truth has no valid depth, so no baseline can be fitted; give frames with laser scans")
+    if baseline == "constant":
+        return np.full((1, 1), sums.total.sum() / sums.count.sum(), np.float32)
+    measured = np.flatnonzero(sums.count.sum(axis=1))
+    nearest = measured[np.abs(np.arange(len(sums.count))[:, None] - measured).argmin(axis=1)]
+    row_mean = (sums.total.sum(axis=1)[nearest] / sums.count.sum(axis=1)[nearest])[:, None]
+    if baseline == "row_mean":
+        return row_mean.astype(np.float32)
+    if baseline == "mean_map":
+        return np.where(sums.count > 0, sums.total / np.maximum(sums.count, 1), row_mean).astype(np.float32)
+    raise InputError(f"baseline {baseline!r} is unknown: choose one of {', '.join(BASELINES)}")
+
+
+def predict(sums: DepthSums, baseline: str, size: tuple[int, int]) -> np.ndarray:
+    """A baseline's prediction for any image of `size` = (H, W): the grid's means, enlarged bilinearly.
+
+    Returns:
+        (H, W) float32, metres.
+    """
+    return cv2.resize(mean_depth(sums, baseline), size[::-1], interpolation=cv2.INTER_LINEAR)
+
+
+def leave_one_drive_out(
+    maps: Sequence[np.ndarray], drives: Sequence[str], baseline: str, *, grid: tuple[int, int], max_depth: float
+) -> list[np.ndarray]:
+    """Predict each map from the maps of all the other drives, where there are no separate training frames.
+
+    Args:
+        maps: (H, W) ground truth each, as for `depth_sums`.
+        drives: drive of each map, as in `Frame.drive`.
+        baseline: one of `BASELINES`.
+        grid: (h, w) cells over the whole image.
+        max_depth: metres.
+
+    Returns:
+        A prediction for each map, of its size, in metres; maps of one drive and size share one array.
+
+    Raises:
+        InputError: the lengths differ, or there is just one drive.
+    """
+    if len(maps) != len(drives) or len(set(drives)) < 2:
+        raise InputError(f"{len(maps)} maps of {len(drives)} named frames in {len(set(drives))} drives; give one drive each, two or more")
+    sizes, of_drive = [], {}
+    for depth, drive in zip(maps, drives):
+        sums = depth_sums([depth], grid=grid, max_depth=max_depth)
+        of_drive[drive] = of_drive[drive].plus(sums) if drive in of_drive else sums
+        sizes.append(depth.shape)
+    everything = DepthSums(sum(s.total for s in of_drive.values()), sum(s.count for s in of_drive.values()))
+    others = {drive: everything.plus(sums, sign=-1) for drive, sums in of_drive.items()}
+    predictions = {(drive, size): predict(others[drive], baseline, size) for drive, size in set(zip(drives, sizes))}
+    return [predictions[drive, size] for drive, size in zip(drives, sizes)]

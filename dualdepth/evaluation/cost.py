@@ -1,0 +1,120 @@
+"""What a network costs: parameters, multiply-accumulates, time and memory of inference (paper, table "Overhead Comparison")."""
+
+import contextlib
+import statistics
+import time
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import torch
+from torch.utils.flop_counter import FlopCounterMode
+
+
+class Cost(NamedTuple):
+    """Size of a network and work of one inference."""
+
+    params: int
+    """Numbers in all parameters, frozen ones included, shared ones once; buffers are not counted."""
+    macs: int
+    """Multiply-accumulates of convolutions and matrix products; the paper's "GFLOPs" are 10⁹ of these (PROTOCOLS A.1)."""
+
+
+class Latency(NamedTuple):
+    """Time and memory of one inference."""
+
+    median_ms: float
+    peak_mb: float
+    """10⁶ bytes of tensors alive at once: weights, inputs, and whatever inference allocates through torch on top of them."""
+    device: str
+    """`cpu`, or the GPU's name."""
+
+
+def count(model: torch.nn.Module, *inputs: torch.Tensor) -> Cost:
+    """Count parameters and multiply-accumulates of `model(*inputs)` in eval mode.
+
+    The forward runs on the meta device, which computes shapes only, so it takes no time and no memory; a model that cannot run there
+    runs where it is. `FlopCounterMode` counts two operations a multiply-accumulate, so its sum is halved: a 3→8 convolution
+    of 3×3 on 16×16 pixels is 55,296.
+
+    Args:
+        model: left unchanged.
+        *inputs: tensors of the size that counts, such as (1, 3, 384, 1248), on any device; their values do not matter.
+    """
+    params = sum(parameter.numel() for parameter in model.parameters())
+    with _eval_mode(model):
+        try:
+            state = {name: value.to("meta") for name, value in (*model.named_parameters(), *model.named_buffers())}
+            flops = _flops(lambda: torch.func.functional_call(model, state, tuple(value.to("meta") for value in inputs)))
+        except (NotImplementedError, RuntimeError):
+            device = next((parameter.device for parameter in model.parameters()), torch.device("cpu"))
+            real = [torch.zeros_like(value, device=device) for value in inputs]
+            flops = _flops(lambda: model(*real))
+    return Cost(params, flops // 2)
+
+
+def latency(model: torch.nn.Module, *inputs: torch.Tensor, repeats: int = 10, warmup: int = 2) -> Latency:
+    """Measure `model(*inputs)` in eval mode on the device of its inputs.
+
+    Args:
+        model: on the same device as `inputs`; left unchanged.
+        *inputs: batch as it will be used, such as (1, 3, 384, 1248).
+        repeats: timed runs, of which the median counts.
+        warmup: runs before them, which choose kernels and fill caches.
+    """
+    device = inputs[0].device
+    cuda = device.type == "cuda"
+    times = []
+    with _eval_mode(model), torch.inference_mode():
+        for _ in range(warmup):
+            model(*inputs)
+        for _ in range(repeats):
+            if cuda:
+                torch.cuda.synchronize(device)
+            start = time.perf_counter()
+            model(*inputs)
+            if cuda:
+                torch.cuda.synchronize(device)
+            times.append(time.perf_counter() - start)
+        extra = _cuda_peak(model, inputs, device) if cuda else _cpu_peak(model, inputs)
+    held = sum(value.numel() * value.element_size() for value in (*model.parameters(), *model.buffers(), *inputs))
+    name = torch.cuda.get_device_name(device) if cuda else device.type
+    return Latency(statistics.median(times) * 1e3, (held + extra) / 1e6, name)
+
+
+def _flops(run: Callable[[], object]) -> int:
+    with torch.no_grad(), FlopCounterMode(display=False) as counter:
+        run()
+    return counter.get_total_flops()
+
+
+def _cuda_peak(model: torch.nn.Module, inputs: tuple[torch.Tensor, ...], device: torch.device) -> int:
+    """Bytes that one inference allocates at most, on top of what is there."""
+    before = torch.cuda.memory_allocated(device)
+    torch.cuda.reset_peak_memory_stats(device)
+    model(*inputs)
+    torch.cuda.synchronize(device)
+    return torch.cuda.max_memory_allocated(device) - before
+
+
+def _cpu_peak(model: torch.nn.Module, inputs: tuple[torch.Tensor, ...]) -> int:
+    """The same on the CPU: the highest sum of the profiler's allocations and releases."""
+    with torch.autograd.profiler.profile(profile_memory=True, use_kineto=False) as profiler:
+        model(*inputs)
+    events = sorted((event.start_ns(), event.nbytes()) for event in profiler.kineto_results.events() if event.name() == "[memory]")
+    alive = peak = 0
+    for _, size in events:
+        alive += size
+        peak = max(peak, alive)
+    return peak
+
+
+@contextlib.contextmanager
+def _eval_mode(model: torch.nn.Module) -> Iterator[None]:
+    """Eval mode for all modules, and back to the mode that each one had."""
+    modes = {module: module.training for module in model.modules()}
+    model.eval()
+    try:
+        yield
+    finally:
+        for module, training in modes.items():
+            module.training = training

@@ -1,0 +1,235 @@
+"""Depth metrics of the Eigen split, to the last quirk of the field's protocol (PROTOCOLS B1; SfMLearner, monodepth2).
+
+Order for each image: resize to the ground truth's size, mask, median ratio, **then** clamp, then the seven metrics; the table has the
+plain mean over images. Arrays are NumPy's or torch's (CPU or GPU); values are compared in float64.
+"""
+
+import math
+import sys
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple, get_args, get_type_hints
+
+import cv2
+import numpy as np
+import pandas as pd
+
+from dualdepth.errors import InputError
+
+METRICS = ("abs_rel", "sq_rel", "rmse", "rmse_log", "a1", "a2", "a3")
+CROPS = {
+    "garg": (0.40810811, 0.99189189, 0.03594771, 0.96405229),
+    "eigen": (0.3324324, 0.91351351, 0.03594771, 0.96405229),
+    "none": (0.0, 1.0, 0.0, 1.0),
+}
+"""Top, bottom, left, right as shares of the ground truth's height and width."""
+
+Array = Any
+"""`numpy.ndarray` or `torch.Tensor`."""
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """How predictions are scored; the defaults are the field's.
+
+    Raises:
+        InputError: an unknown choice, or depths that are not 0 < min_depth < max_depth.
+    """
+
+    kind: Literal["depth", "disparity"] = "depth"
+    """What the predictions are; disparity is inverse depth, of any scale."""
+    resize: Literal["depth", "disparity"] = "depth"
+    """What is resized bilinearly to the ground truth's size: SfMLearner and GeoNet depth, monodepth2 disparity."""
+    crop: Literal["garg", "eigen", "none"] = "garg"
+    min_depth: float = 1e-3
+    """Metres; ground truth must be strictly above, predictions are clamped to it."""
+    max_depth: float = 80.0
+    """Metres; ground truth must be strictly below, predictions are clamped to it."""
+    median_scaling: bool = True
+    """Multiply each prediction by median(ground truth) / median(prediction) over the valid pixels."""
+    valid: Literal["range", "positive"] = "range"
+    """Pixels that count: ground truth strictly between the depths, or all above 0 (for the improved ground truth)."""
+
+    def __post_init__(self) -> None:
+        for name, hint in get_type_hints(type(self)).items():
+            choices = get_args(hint)
+            if choices and getattr(self, name) not in choices:
+                raise InputError(f"{name} {getattr(self, name)!r} is unknown: choose one of {', '.join(choices)}")
+        if not 0 < self.min_depth < self.max_depth < math.inf:
+            raise InputError(f"min_depth {self.min_depth} and max_depth {self.max_depth}: must be 0 < min_depth < max_depth")
+
+
+class Pixels(NamedTuple):
+    """The valid pixels of one image, P of them, as the metrics see them."""
+
+    ground_truth: Array
+    """(P,) float64, metres."""
+    prediction: Array
+    """(P,) float64, metres, scaled and clamped."""
+    index: Array
+    """(P,) places in the flattened (H, W) map, to look up distance, region or label."""
+    scale_ratio: float
+    """What the prediction was multiplied by; 1 without median scaling."""
+
+
+def crop_box(crop: str, height: int, width: int) -> tuple[slice, slice]:
+    """Rows and columns of a crop in a map of `height` × `width` pixels; bounds are truncated to integers."""
+    top, bottom, left, right = CROPS[crop]
+    return slice(int(top * height), int(bottom * height)), slice(int(left * width), int(right * width))
+
+
+def errors(ground_truth: Array, prediction: Array) -> dict[str, float]:
+    """The seven metrics of paired depths.
+
+    Args:
+        ground_truth: (P,) metres, positive; P ≥ 1.
+        prediction: (P,) metres, positive, of the same array library.
+
+    Returns:
+        Values by the names in `METRICS`; a1, a2, a3 are shares in [0, 1] with max(gt/p, p/gt) < 1.25^k, strictly.
+    """
+    xp = _library(ground_truth)
+    difference = ground_truth - prediction
+    squared = difference**2
+    ratio = xp.maximum(ground_truth / prediction, prediction / ground_truth)
+    values = {
+        "abs_rel": (abs(difference) / ground_truth).mean(),
+        "sq_rel": (squared / ground_truth).mean(),
+        "rmse": squared.mean() ** 0.5,
+        "rmse_log": ((xp.log(ground_truth) - xp.log(prediction)) ** 2).mean() ** 0.5,
+    }
+    values |= {f"a{k}": xp.asarray(ratio < 1.25**k, dtype=xp.float64).mean() for k in (1, 2, 3)}
+    return {name: float(value) for name, value in values.items()}
+
+
+def median(values: Array) -> float:
+    """Median of (P,) values; of an even count the mean of the two middle ones, as NumPy has it (torch takes the lower)."""
+    if _library(values) is np:
+        return float(np.median(values))
+    ordered, count = values.sort().values, values.numel()
+    return float((ordered[(count - 1) // 2] + ordered[count // 2]) / 2)
+
+
+def resized(values: Array, size: tuple[int, int]) -> Array:
+    """Resize (h, w) float values to `size` = (H, W) bilinearly, as `cv2.resize` does, without anti-aliasing."""
+    if _library(values) is np:
+        return cv2.resize(values, size[::-1], interpolation=cv2.INTER_LINEAR)
+    interpolate = sys.modules["torch"].nn.functional.interpolate
+    return interpolate(values[None, None], size, mode="bilinear", align_corners=False)[0, 0]
+
+
+def valid_pixels(prediction: Array, ground_truth: Array, protocol: Protocol) -> Pixels | None:
+    """Pair the valid pixels of one image, with the prediction resized, scaled and clamped by `protocol`.
+
+    Args:
+        prediction: (h, w) float depth or disparity of any size, finite and positive.
+        ground_truth: (H, W) float, metres; 0 or NaN where there is no measurement.
+
+    Returns:
+        The pairs, or None where no pixel is valid.
+
+    Raises:
+        InputError: a shape is not two-dimensional, or the prediction is not finite and positive.
+    """
+    xp = _library(prediction)
+    if xp is np:
+        prediction = np.asarray(prediction, np.float64 if prediction.dtype.itemsize > 4 else np.float32)
+    else:
+        prediction = prediction.to(xp.float64 if prediction.dtype == xp.float64 else xp.float32)
+        ground_truth = xp.as_tensor(ground_truth, device=prediction.device)
+    if prediction.ndim != 2 or ground_truth.ndim != 2 or 0 in prediction.shape:
+        raise InputError(f"shapes {tuple(prediction.shape)} and {tuple(ground_truth.shape)}; expected (height, width) for both")
+    _check_positive(prediction, protocol.kind)
+
+    # compared in the ground truth's own precision: a float32 0.001 is not above 0.001
+    above, below = (protocol.min_depth, protocol.max_depth) if protocol.valid == "range" else (0.0, math.inf)
+    box = crop_box(protocol.crop, *ground_truth.shape)
+    mask = xp.zeros_like(ground_truth, dtype=xp.bool)
+    mask[box] = (ground_truth[box] > above) & (ground_truth[box] < below)
+    index = xp.argwhere(mask.ravel())[:, 0]
+    if not len(index):
+        return None
+
+    if protocol.kind != protocol.resize:
+        prediction = 1 / prediction
+    prediction = xp.asarray(resized(prediction, tuple(ground_truth.shape)).ravel()[index], dtype=xp.float64)
+    if protocol.resize == "disparity":
+        prediction = 1 / prediction
+    measured = xp.asarray(ground_truth.ravel()[index], dtype=xp.float64)
+
+    ratio = median(measured) / median(prediction) if protocol.median_scaling else 1.0
+    prediction = xp.clip(prediction * ratio, protocol.min_depth, protocol.max_depth)
+    return Pixels(measured, prediction, index, ratio)
+
+
+def evaluate(
+    predictions: Sequence[Array] | Array, ground_truths: Iterable[Array], *, name: str = "predictions", **protocol: Any
+) -> pd.DataFrame:
+    """Score predictions against ground truth, image by image.
+
+    Args:
+        predictions: (N, h, w) array or N arrays (h, w), depth or disparity.
+        ground_truths: N maps (H, W) in metres, 0 where there is no measurement; with a length, they are read one by one.
+        name: what error messages call the predictions, such as their file.
+        **protocol: fields of `Protocol`.
+
+    Returns:
+        One row per scored image, indexed by its place (`image`): the columns of `METRICS`, `scale_ratio` and `valid_pixels`.
+        Images without a valid pixel have no row; `attrs["skipped"]` lists them.
+
+    Raises:
+        InputError: the numbers of maps differ, no image has a valid pixel, or a prediction cannot be scored; the image is named.
+    """
+    settings = Protocol(**protocol)
+    if not hasattr(ground_truths, "__len__"):
+        ground_truths = list(ground_truths)
+    count = len(predictions)
+    if count != len(ground_truths):
+        raise InputError(f"{name}: holds {count} predictions but there are {len(ground_truths)} ground truths; give one for each, in order")
+    rows, scored, skipped = [], [], []
+    for number, ground_truth in enumerate(ground_truths):
+        try:
+            pixels = valid_pixels(predictions[number], ground_truth, settings)
+        except InputError as error:
+            raise InputError(f"{name}: image {number}: {error}") from None
+        if pixels is None:
+            skipped.append(number)
+            continue
+        rows.append(errors(pixels.ground_truth, pixels.prediction) | {"scale_ratio": pixels.scale_ratio, "valid_pixels": len(pixels.index)})
+        scored.append(number)
+    if not rows:
+        raise InputError(f"{name}: none of the {count} ground truths has a valid pixel; check the crop and the depth limits")
+    frame = pd.DataFrame(rows, index=pd.Index(scored, name="image"))
+    frame.attrs["skipped"] = skipped
+    return frame
+
+
+def summary(frame: pd.DataFrame) -> dict[str, float | int]:
+    """Plain means over the scored images of `evaluate`, flat.
+
+    Returns:
+        The seven metrics, `n` scored and `skipped` images, and the median scale ratio with its spread: the standard
+        deviation of ratio / median ratio, as monodepth2 prints it.
+    """
+    ratio = frame["scale_ratio"]
+    return {
+        **{name: float(frame[name].mean()) for name in METRICS},
+        "n": len(frame),
+        "skipped": len(frame.attrs.get("skipped", ())),
+        "scale_ratio_median": float(ratio.median()),
+        "scale_ratio_spread": float((ratio / ratio.median()).std(ddof=0)),
+    }
+
+
+def _library(values: Array) -> Any:
+    """NumPy or torch, without importing torch for NumPy arrays."""
+    return np if isinstance(values, np.ndarray) else sys.modules["torch"]
+
+
+def _check_positive(prediction: Array, kind: str) -> None:
+    lowest, highest = float(prediction.min()), float(prediction.max())
+    if not (math.isfinite(lowest) and math.isfinite(highest)):
+        raise InputError(f"the {kind} holds NaN or infinite values; predictions must be finite and above 0")
+    # below the smallest normal number the inverse overflows
+    if lowest < 1.2e-38:
+        raise InputError(f"the {kind} goes down to {lowest:g}; predictions must be finite and above 0")

@@ -1,0 +1,59 @@
+"""How sure a difference is: paired bootstrap over images, mean and spread over seeds."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from dualdepth.errors import InputError
+
+
+class Difference(NamedTuple):
+    """Mean of a − b and its confidence interval."""
+
+    difference: float
+    low: float
+    high: float
+
+
+def paired_bootstrap(
+    a: Sequence[float] | np.ndarray, b: Sequence[float] | np.ndarray, *, seed: int, samples: int = 10000, confidence: float = 0.95
+) -> Difference:
+    """Percentile bootstrap of the mean difference of two methods over the same images.
+
+    Images are drawn with replacement, both methods' values of an image together, so what makes an image hard cancels.
+
+    Args:
+        a: (N,) per-image values of one method, such as the `abs_rel` column of `evaluate`.
+        b: (N,) values of the other method for the same images in the same order.
+        seed: of the draws; the same seed gives the same interval.
+        samples: bootstrap samples.
+        confidence: share of the samples inside the interval, in (0, 1).
+
+    Returns:
+        The mean of a − b, and the lower and upper end of its interval.
+
+    Raises:
+        InputError: different lengths, fewer than two images, or values that are not finite.
+    """
+    a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
+    if a.ndim != 1 or a.shape != b.shape or a.size < 2 or not np.isfinite([a, b]).all():
+        raise InputError(f"paired bootstrap: shapes {a.shape} and {b.shape}; give two lists of equal length (≥ 2) of finite values")
+    difference = a - b
+    # how often each image is drawn says all about a sample's mean
+    drawn = np.random.default_rng(seed).multinomial(a.size, np.full(a.size, 1 / a.size), size=samples)
+    means = drawn @ difference / a.size
+    low, high = np.quantile(means, [(1 - confidence) / 2, (1 + confidence) / 2])
+    return Difference(float(difference.mean()), float(low), float(high))
+
+
+def mean_std(values: Sequence[float] | np.ndarray) -> tuple[float, float]:
+    """Mean and sample standard deviation (n − 1) of a metric over seeds; the deviation of a single seed is NaN.
+
+    Raises:
+        InputError: no values.
+    """
+    values = np.asarray(values, np.float64)
+    if not values.size:
+        raise InputError("mean over seeds: no values")
+    return float(values.mean()), float(values.std(ddof=1)) if values.size > 1 else float("nan")

@@ -1,0 +1,139 @@
+"""The paper's losses (section "Loss"), each a mean over the pixels that have at least one valid source view."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from dualdepth.geometry import pose_matrix, reproject, resize_intrinsics, sample
+
+SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2
+
+
+def ssim(a: Tensor, b: Tensor) -> Tensor:
+    """Structural similarity (B, C, H, W) of images in [0, 1], with the field's 3×3 box window and reflection padding.
+
+    This is monodepth2's and GeoNet's SSIM; kornia's has a Gaussian window, which gives other values.
+    """
+
+    def box(x: Tensor) -> Tensor:
+        return F.avg_pool2d(F.pad(x, (1, 1, 1, 1), mode="reflect"), 3, stride=1)
+
+    mean_a, mean_b = box(a), box(b)
+    var_a, var_b = box(a * a) - mean_a**2, box(b * b) - mean_b**2
+    covariance = box(a * b) - mean_a * mean_b
+    luminance = (2 * mean_a * mean_b + SSIM_C1) / (mean_a**2 + mean_b**2 + SSIM_C1)
+    structure = (2 * covariance + SSIM_C2) / (var_a + var_b + SSIM_C2)
+    return luminance * structure
+
+
+def photometric_error(target: Tensor, synthesized: Tensor, alpha: float) -> Tensor:
+    """α (1 − SSIM)/2 + (1 − α) |I_t − I_s→t|, averaged over channels: (B, 1, H, W), in [0, 1] (paper, section "Photometric Loss")."""
+    dissimilarity = ((1.0 - ssim(target, synthesized)) / 2.0).clamp(0.0, 1.0)
+    error = alpha * dissimilarity + (1.0 - alpha) * (target - synthesized).abs()
+    return error.mean(dim=1, keepdim=True)
+
+
+def feature_error(target: Tensor, synthesized: Tensor) -> Tensor:
+    """‖f_t − f_s→t‖₂ over channels: (B, 1, H, W) (paper, section "Feature Reconstruction Loss"); ε keeps the gradient finite at zero."""
+    return ((target - synthesized) ** 2).sum(dim=1, keepdim=True).add(1e-8).sqrt()
+
+
+def mean_of_minimum(errors: Tensor, valid: Tensor) -> Tensor:
+    """Mean over pixels of the minimum over sources: errors and validity (B, S, H, W) → scalar.
+
+    Invalid sources cannot be the minimum; a pixel without a valid source contributes nothing, and without any such pixel
+    the loss is 0.
+    """
+    minimum = errors.masked_fill(~valid, torch.inf).amin(dim=1)
+    seen = valid.any(dim=1)
+    return minimum.masked_fill(~seen, 0.0).sum() / seen.sum().clamp(min=1)
+
+
+def smoothness(disparity: Tensor, image: Tensor) -> Tensor:
+    """Mean of |∂D| e^−|∂I|, first order, on the disparity divided by its mean (scalar).
+
+    The paper writes depth D, "normalised as in DDVO", which normalises inverse depth; kornia's function does not
+    normalise, so the mean is divided out first.
+    """
+    from kornia.losses import inverse_depth_smoothness_loss
+
+    return inverse_depth_smoothness_loss(disparity / disparity.mean(dim=(2, 3), keepdim=True), image)
+
+
+class Losses(NamedTuple):
+    """Total (scalar with gradient), its weighted-out components, and the finest scale's pictures for the log."""
+
+    total: Tensor
+    photometric: Tensor
+    smoothness: Tensor
+    feature: Tensor
+    synthesized: Tensor
+    """(B, 3, H, W): the first source warped to the target, detached."""
+    error: Tensor
+    """(B, 1, H, W): minimum photometric error, detached; 0 where no source is valid."""
+    valid_share: Tensor
+    """Share of pixels with a valid source."""
+
+
+def total_loss(
+    images: Tensor,
+    intrinsics: Tensor,
+    disparities: list[Tensor],
+    poses: Tensor,
+    *,
+    weights: tuple[float, float, float],
+    alpha: float,
+    mean_disparity: float,
+    features: tuple[Tensor, Tensor] | None = None,
+    automask: bool = False,
+) -> Losses:
+    """λ1 L_ph + λ2 L_smooth + λ3 L_fr (paper, section "Loss"), each scale compared at its own size with area-shrunk images.
+
+    Args:
+        images: (B, 1 + S, 3, H, W) in [0, 1], target first.
+        intrinsics: (B, 3, 3) at this size.
+        disparities: of the target, (B, 1, H/2^s, W/2^s) for s = 0, 1, …
+        poses: (B, S, 6), target → source, in the unit of the normalised depth.
+        weights: λ1, λ2 (halved at each coarser scale), λ3.
+        alpha: share of SSIM.
+        mean_disparity: what the spatial mean of the finest disparity is divided to, per image, with gradient (DDVO).
+        features: target's (B, C, H, W) and sources' (B, S, C, H, W) for the feature reconstruction loss; None leaves it out.
+        automask: beyond the paper: the unwarped sources take part in the minimum.
+    """
+    images, disparities = images.float(), [d.float() for d in disparities]
+    sources = images.shape[1] - 1
+    transforms = pose_matrix(poses.float()).flatten(0, 1)
+    norm = mean_disparity / disparities[0].mean(dim=(2, 3), keepdim=True)
+    zero = images.new_zeros(())
+    photometric, smooth, feature = zero, zero, zero
+    for scale, disparity in enumerate(disparities):
+        if scale:
+            images = F.avg_pool2d(images.flatten(0, 1), 2).unflatten(0, (-1, 1 + sources))
+        target, views = images[:, 0], images[:, 1:].flatten(0, 1)  # (B, 3, h, w), (B·S, 3, h, w)
+        pixel, valid = reproject(
+            (disparity * norm).repeat_interleave(sources, 0),
+            transforms,
+            resize_intrinsics(intrinsics, 0.5**scale, 0.5**scale).repeat_interleave(sources, 0),
+        )
+        synthesized = sample(views, pixel)
+        target_per_source = target.repeat_interleave(sources, 0)
+        errors = photometric_error(target_per_source, synthesized, alpha).unflatten(0, (-1, sources)).squeeze(2)
+        valid = valid.unflatten(0, (-1, sources)).squeeze(2)
+        if scale == 0:
+            finest = errors, valid, synthesized.unflatten(0, (-1, sources))[:, 0]
+            if features is not None:
+                warped = sample(features[1].float().flatten(0, 1), pixel)
+                distance = feature_error(features[0].float().repeat_interleave(sources, 0), warped)
+                feature = mean_of_minimum(distance.unflatten(0, (-1, sources)).squeeze(2), valid)
+        if automask:
+            still = photometric_error(target_per_source, views, alpha).unflatten(0, (-1, sources)).squeeze(2)
+            valid = valid & (errors < still.amin(dim=1, keepdim=True))
+        photometric = photometric + mean_of_minimum(errors, valid) / len(disparities)
+        smooth = smooth + smoothness(disparity, target) * 0.5**scale / len(disparities)
+    errors, valid, synthesized = finest
+    seen = valid.any(dim=1, keepdim=True)
+    minimum = errors.masked_fill(~valid, torch.inf).amin(dim=1, keepdim=True).masked_fill(~seen, 0.0)
+    total = weights[0] * photometric + weights[1] * smooth + weights[2] * feature
+    return Losses(total, photometric, smooth, feature, synthesized.detach(), minimum.detach(), seen.float().mean())

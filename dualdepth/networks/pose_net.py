@@ -1,0 +1,39 @@
+"""PoseNet of Zhou et al. 2017 (SfMLearner `nets.py`), as the paper uses it."""
+
+import torch
+from torch import Tensor, nn
+
+POSE_SCALE = 0.01
+"""Keeps the first poses near the identity (Zhou et al.)."""
+
+
+class PoseNet(nn.Module):
+    """Target and source images → one pose per source, each mapping target coordinates to source coordinates.
+
+    Seven stride-2 convolutions with ReLU, no batch norm, a linear 1×1 convolution, the spatial mean, × 0.01.
+    Zero padding, since its deepest maps are too small to reflect.
+    """
+
+    def __init__(self, sources: int = 2) -> None:
+        super().__init__()
+        self.sources = sources
+        widths, kernels = (16, 32, 64, 128, 256, 256, 256), (7, 5, 3, 3, 3, 3, 3)
+        layers: list[nn.Module] = []
+        inputs = 3 * (1 + sources)
+        for width, kernel in zip(widths, kernels):
+            layers += [nn.Conv2d(inputs, width, kernel, stride=2, padding=kernel // 2), nn.ReLU()]
+            inputs = width
+        self.layers = nn.Sequential(*layers, nn.Conv2d(inputs, 6 * sources, 1))
+        for layer in self.layers:
+            if isinstance(layer, nn.Conv2d):
+                nn.init.xavier_uniform_(layer.weight)
+                nn.init.zeros_(layer.bias)
+
+    def forward(self, images: Tensor) -> Tensor:
+        """Poses (B, sources, 6) of images (B, 1 + sources, 3, H, W) in [0, 1], target first.
+
+        Order tx, ty, tz, rx, ry, rz; translations in units of the predicted depth, angles in radians.
+        """
+        x = 2.0 * images.flatten(1, 2) - 1.0
+        poses = self.layers(x).float().mean(dim=(2, 3))
+        return POSE_SCALE * torch.unflatten(poses, 1, (self.sources, 6))

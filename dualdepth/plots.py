@@ -1,0 +1,123 @@
+"""Pictures: depth in a perceptual colour map with a scale in metres, errors beside it."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+
+from dualdepth.atomic import atomic_path
+
+DEPTH_MAP = "magma_r"
+"""Near is bright, far is dark; logarithmic in depth, so that near and far both show."""
+NEAR, FAR = 3.0, 80.0
+"""Metres at the ends of the colour scale."""
+
+
+def save(figure: Figure, path: str | Path, dpi: int = 100) -> Path:
+    """Write a figure as PNG, atomically."""
+    with atomic_path(path) as partial:
+        figure.savefig(partial, dpi=dpi)
+    return Path(path)
+
+
+def show_image(axes: Axes, image: np.ndarray, title: str = "") -> None:
+    """Draw an image (H, W, 3), uint8 or in [0, 1], without ticks."""
+    axes.imshow(image)
+    axes.set_title(title, fontsize=8, loc="left")
+    axes.set_axis_off()
+
+
+def show_depth(axes: Axes, depth: np.ndarray, title: str = "", bar: bool = True) -> None:
+    """Draw a depth map (H, W) in metres, 0 = unknown (grey), with a colour bar in metres."""
+    shown = np.ma.masked_less_equal(depth, 0)
+    axes.set_facecolor("0.85")
+    drawn = axes.imshow(shown, cmap=DEPTH_MAP, norm=LogNorm(NEAR, FAR), interpolation="nearest")
+    axes.set_title(title, fontsize=8, loc="left")
+    axes.set_xticks([])
+    axes.set_yticks([])
+    if bar:
+        colours = axes.figure.colorbar(drawn, ax=axes, fraction=0.012, pad=0.01, extend="both")
+        colours.set_ticks([3, 5, 10, 20, 40, 80], labels=["3", "5", "10", "20", "40", "80 m"], fontsize=6)
+        colours.minorticks_off()
+
+
+def show_error(axes: Axes, error: np.ndarray, title: str = "", top: float = 0.5) -> None:
+    """Draw |prediction − truth| / truth (H, W), NaN = no truth (grey), 0 … `top`."""
+    axes.set_facecolor("0.85")
+    drawn = axes.imshow(np.ma.masked_invalid(error), cmap="viridis", vmin=0, vmax=top, interpolation="nearest")
+    axes.set_title(title, fontsize=8, loc="left")
+    axes.set_xticks([])
+    axes.set_yticks([])
+    colours = axes.figure.colorbar(drawn, ax=axes, fraction=0.012, pad=0.01, extend="max")
+    colours.set_ticks([0, top / 2, top], labels=["0", f"{top / 2:.0%}", f"{top:.0%}"], fontsize=6)
+
+
+def thicken(sparse: np.ndarray, pixels: int = 5) -> np.ndarray:
+    """Enlarge the points of a sparse map (H, W; 0 = none) to squares, the nearest depth on top, so that they show in a figure."""
+    import cv2
+
+    inverse = np.where(sparse > 0, 1.0 / np.maximum(sparse, 1e-3), 0).astype(np.float32)
+    grown = cv2.dilate(inverse, np.ones((pixels, pixels), np.uint8))
+    return np.where(grown > 0, 1.0 / np.maximum(grown, 1e-6), 0)
+
+
+def depth_comparison(
+    images: Sequence[np.ndarray], truths: Sequence[np.ndarray], predictions: Sequence[np.ndarray], titles: Sequence[str]
+) -> Figure:
+    """Rows of image, laser depth, predicted depth, relative error.
+
+    Args:
+        images: (H, W, 3) each.
+        truths: (H, W) metres, 0 = no return.
+        predictions: (H, W) metres, already scaled to the truth.
+        titles: one per row.
+    """
+    figure = Figure(figsize=(13, 1.35 * len(images) + 0.2), layout="constrained")
+    axes = figure.subplots(len(images), 4, squeeze=False)
+    for row, image, truth, prediction, title in zip(axes, images, truths, predictions, titles):
+        error = np.where(truth > 0, np.abs(prediction - truth) / np.maximum(truth, 1e-3), 0)
+        show_image(row[0], image, title)
+        show_depth(row[1], thicken(truth), "laser", bar=False)
+        show_depth(row[2], prediction, "predicted")
+        grown = thicken(error + (truth > 0) * 1e-6)  # keeps the smallest error of a neighbourhood visible as a point
+        show_error(row[3], np.where(grown > 0, grown, np.nan), "relative error")
+    return figure
+
+
+def training_panel(target: np.ndarray, synthesized: np.ndarray, disparity: np.ndarray, error: np.ndarray) -> Figure:
+    """One sample of a batch: target, warped source (3, H, W), relative depth and photometric error (H, W)."""
+    figure = Figure(figsize=(10, 3.4), layout="constrained")
+    (top_left, top_right), (bottom_left, bottom_right) = figure.subplots(2, 2)
+    show_image(top_left, target.transpose(1, 2, 0).clip(0, 1), "target")
+    show_image(top_right, synthesized.transpose(1, 2, 0).clip(0, 1), "source, warped to the target")
+    bottom_left.imshow(disparity / disparity.mean(), cmap="magma", vmin=0, vmax=3)
+    bottom_left.set_title("disparity / its mean, 0 … 3", fontsize=8, loc="left")
+    bottom_left.set_axis_off()
+    bottom_right.imshow(error, cmap="viridis", vmin=0, vmax=0.5)
+    bottom_right.set_title("photometric error, 0 … 0.5", fontsize=8, loc="left")
+    bottom_right.set_axis_off()
+    return figure
+
+
+def learning_curve(logs: dict[str, pd.DataFrame]) -> Figure:
+    """Loss components, step sizes and spreads over the steps; one line per run."""
+    panels = {
+        "photometric": "photometric loss",
+        "translation": "pose: translation (depth units)",
+        "disparity_spread": "disparity: spread / mean",
+    }
+    figure = Figure(figsize=(12, 2.8), layout="constrained")
+    for axes, (column, title) in zip(figure.subplots(1, len(panels)), panels.items()):
+        for name, log in logs.items():
+            axes.plot(log["step"], log[column], lw=0.5, alpha=0.4)
+            smooth = log[column].rolling(max(len(log) // 15, 1), min_periods=1).mean()
+            axes.plot(log["step"], smooth, color=axes.lines[-1].get_color(), label=name)
+        axes.set_title(title, fontsize=9, loc="left")
+        axes.set_xlabel("step")
+        axes.grid(alpha=0.3)
+    axes.legend(fontsize=7)
+    return figure

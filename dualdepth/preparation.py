@@ -1,0 +1,87 @@
+"""From the profile to prepared data: where the frames are, which are trained on, which are scored."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from dualdepth.atomic import write_json
+from dualdepth.data.kitti import Frame, check_root, image_path, read_frame_list, read_static_frames, read_test_scenes
+from dualdepth.data.triplets import drive_triplets, missing_neighbours, name_missing, write_targets
+from dualdepth.errors import InputError
+from dualdepth.results import Run
+
+
+class Sources(NamedTuple):
+    """Roots and lists of a run; lists that a profile does not use are None."""
+
+    kitti_root: Path
+    test_list: Path
+    train_list: Path | None = None
+    static_frames: Path | None = None
+    test_scenes: Path | None = None
+    baseline_list: Path | None = None
+    """Training-side frames with a laser scan, to fit the baselines on; None: leave one drive of the scored frames out."""
+
+    def save(self, run: Run) -> None:
+        """Write `work/<profile>/sources.json`."""
+        write_json(run.sources, {k: str(v) if v else None for k, v in self._asdict().items()})
+
+    @classmethod
+    def load(cls, run: Run) -> "Sources":
+        """Read what notebook 01 wrote."""
+        values = json.loads(run.require(run.sources, "01_download_data").read_text(encoding="utf-8"))
+        return cls(**{k: Path(v) if v else None for k, v in values.items()})
+
+
+def training_targets(run: Run, sources: Sources) -> list[Frame]:
+    """Targets of the training triplets: a field's list unchanged, or the drives of the profile.
+
+    Raises:
+        InputError: frames are missing (all in one message), a training drive is a test drive, or nothing is left.
+    """
+    data, root = run.profile.data, check_root(sources.kitti_root)
+    static = read_static_frames(sources.static_frames) if sources.static_frames else set()
+    scenes = read_test_scenes(sources.test_scenes) if sources.test_scenes else set()
+    if sources.train_list and data.train_list:
+        targets = read_frame_list(sources.train_list)
+        missing = missing_neighbours(root, targets)
+        if missing:
+            raise name_missing("training frames", root, missing)
+        return targets
+    drives = data.train_drives
+    if not drives and sources.train_list:
+        drives = sources.train_list.read_text(encoding="utf-8").split()
+    return drive_triplets(root, drives, data.cameras, static, scenes)
+
+
+def test_frames(run: Run, sources: Sources) -> tuple[list[Frame], int]:
+    """Frames to score, and how many the list names.
+
+    Raises:
+        InputError: frames of the list are missing and the profile does not allow it, or all are.
+    """
+    listed = read_frame_list(sources.test_list)
+    missing = [f for f in listed if image_path(sources.kitti_root, f) is None]
+    if missing and (not run.profile.data.allow_missing or len(missing) == len(listed)):
+        raise name_missing("frames to score", sources.kitti_root, missing)
+    gone = set(missing)
+    return [f for f in listed if f not in gone], len(listed)
+
+
+def write_training_index(run: Run, sources: Sources, targets: Sequence[Frame]) -> Path:
+    """Write `prepared/triplets.csv`."""
+    path = run.prepared / "triplets.csv"
+    write_targets(path, sources.kitti_root, targets)
+    return path
+
+
+def check_separate(train: Sequence[Frame], test: Sequence[Frame]) -> None:
+    """Refuse to score frames of a drive that is trained on.
+
+    Raises:
+        InputError: naming the drives.
+    """
+    shared = sorted({f.drive for f in train} & {f.drive for f in test})
+    if shared:
+        raise InputError(f"drives {', '.join(shared)} are both trained on and scored: take them out of train_drives or of the test list")

@@ -1,0 +1,160 @@
+"""Where a run's files lie, and the stamps that say what made them."""
+
+import ast
+import datetime
+import hashlib
+import platform
+import subprocess
+from collections.abc import Iterable
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+import dualdepth
+from dualdepth.atomic import write_json, write_text
+from dualdepth.config import Profile, load_profile
+from dualdepth.errors import InputError
+
+PACKAGE = Path(__file__).parent
+
+CODE = {
+    "train": ("networks", "geometry", "losses", "stages", "training", "data.augmentation", "data.loading"),
+    "prepare": ("data.kitti", "data.triplets", "data.lidar", "data.depth_maps"),
+    "evaluate": ("evaluation", "predict"),
+}
+"""Modules whose code shapes a step's result; a change in one of them makes the step stale."""
+
+
+def project_root() -> Path:
+    """The checkout: the nearest folder, from here upwards, that holds both `notebooks/` and `Snakefile`.
+
+    Raises:
+        InputError: there is none.
+    """
+    here = Path.cwd()
+    for folder in (here, *here.parents):
+        if (folder / "notebooks").is_dir() and (folder / "Snakefile").is_file():
+            return folder
+    raise InputError(f"{here} is not inside a dualdepth checkout: go to the folder that holds the Makefile")
+
+
+class Run:
+    """Files of a profile: `work/<profile>/` for data and weights, `results/<profile>/` for what is shown."""
+
+    def __init__(self, profile: str, root: Path | None = None) -> None:
+        self.profile: Profile = load_profile(profile)
+        self.root = root or project_root()
+        self.work = self.root / "work" / self.profile.name
+        self.results = self.root / "results" / self.profile.name
+
+    @property
+    def sources(self) -> Path:
+        """What notebook 01 found: roots and lists."""
+        return self.work / "sources.json"
+
+    @property
+    def prepared(self) -> Path:
+        """Folder of the prepared index and ground truth (notebook 02)."""
+        return self.work / "prepared"
+
+    def training(self, variant: str, seed: int) -> Path:
+        """Folder of one training."""
+        return self.work / "runs" / variant / f"seed{seed}"
+
+    def weights(self, variant: str, seed: int) -> Path:
+        """Released weights of one training."""
+        return self.training(variant, seed) / "model.safetensors"
+
+    def recipe(self, stage: str) -> str:
+        """Digest of all that shapes a training's weights, the seed aside: settings, code, and the prepared triplets."""
+        settings = self.profile.digest("data.hr_size", f"training.{stage}", *_SHAPING)
+        triplets = hashlib.sha256((self.prepared / "triplets.csv").read_bytes()).hexdigest()
+        return hashlib.sha256(f"{settings} {code_digest('train')} {triplets}".encode()).hexdigest()[:16]
+
+    def require(self, path: Path, notebook: str) -> Path:
+        """`path`, checked to be there.
+
+        Raises:
+            InputError: it is missing; the message names the notebook that makes it.
+        """
+        if not path.exists():
+            raise InputError(f"{path.relative_to(self.root)} is missing: run notebook {notebook} with profile {self.profile.name} first")
+        return path
+
+    def save_table(self, table: pd.DataFrame, name: str, inputs: Iterable[Path], **facts: Any) -> Path:
+        """Write `results/<profile>/tables/<name>.csv` and its stamp."""
+        path = self.results / "tables" / f"{name}.csv"
+        write_text(path, table.to_csv(index=False, float_format="%.6g"))
+        write_json(path.with_suffix(".json"), self.stamp(inputs) | facts)
+        return path
+
+    def save_figure(self, figure: Any, name: str, inputs: Iterable[Path], **facts: Any) -> Path:
+        """Write `results/<profile>/figures/<name>.png` and its stamp."""
+        from dualdepth import plots
+
+        path = plots.save(figure, self.results / "figures" / f"{name}.png")
+        write_json(path.with_suffix(".json"), self.stamp(inputs) | facts)
+        return path
+
+    def stamp(self, inputs: Iterable[Path]) -> dict[str, Any]:
+        """Provenance: revision, hashes of lock, profile and inputs, versions, machine, time."""
+        return {
+            "made": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+            "version": dualdepth.__version__,
+            "revision": self._revision[0],
+            "dirty": self._revision[1],
+            "profile": self.profile.name,
+            "profile_sha256": hashlib.sha256(self.profile.model_dump_json().encode()).hexdigest(),
+            "lock_sha256": file_digest(self.root / "environment.lock"),
+            "inputs_sha256": {str(p.relative_to(self.root)): file_digest(p) for p in inputs},
+            "python": platform.python_version(),
+            "machine": f"{platform.system()} {platform.machine()}",
+        }
+
+    @cached_property
+    def _revision(self) -> tuple[str, bool]:
+        def git(*words: str) -> str:
+            return subprocess.run(["git", "-C", str(self.root), *words], capture_output=True, text=True, check=False).stdout.strip()
+
+        return git("rev-parse", "HEAD") or "unknown", bool(git("status", "--porcelain"))
+
+
+_SHAPING = (
+    "training.encoder",
+    "training.pretrained",
+    "training.augmentation",
+    "training.loss",
+    "training.precision",
+    "training.channels_last",
+    "training.accumulate",
+)
+"""Settings of `Training` that shape the weights, beside the stage's own."""
+
+
+def file_digest(path: Path) -> str | None:
+    """sha256 of a file, or None where there is none."""
+    if not path.is_file():
+        return None
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def code_digest(step: str) -> str:
+    """Digest of the code of a step's modules, blind to comments, docstrings and layout."""
+    digest = hashlib.sha256()
+    for module in CODE[step]:
+        path = PACKAGE / module.replace(".", "/")
+        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path.with_suffix(".py")]:
+            digest.update(_meaning(file.read_text(encoding="utf-8")).encode())
+    return digest.hexdigest()[:16]
+
+
+def _meaning(source: str) -> str:
+    """The syntax tree without the strings that stand alone."""
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
+            node.body = [s for s in node.body if not (isinstance(s, ast.Expr) and isinstance(s.value, ast.Constant))]
+    return ast.dump(tree)
