@@ -13,12 +13,13 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from tqdm.auto import tqdm
 
 from dualdepth.atomic import write_json
 from dualdepth.config import load_profile
-from dualdepth.data.download import disk_error, fetch, gigabytes, part_size, remote_size, require_space
+from dualdepth.data.download import fetch, gigabytes, part_size, remote_size, require_space
 from dualdepth.data.sources import (
     CAMERAS,
     IMPROVED_DEPTH,
@@ -37,9 +38,6 @@ from dualdepth.errors import InputError, exit_on_input_error
 UNPACKED = 1.25
 """Unpacked size over archive size, estimated from above (images hardly shrink in a zip, laser scans do); checked exactly later."""
 
-BAR = {"file": sys.stdout, "mininterval": 0.5 if sys.stdout.isatty() else 5.0, "dynamic_ncols": True}
-"""Bars go to stdout, since stderr is for the one line of an error; a log file gets fewer of them."""
-
 EXAMPLES = """\
 examples:
   --root KITTI --profile sample                    the three drives of the profile `sample` (2 GB)
@@ -53,6 +51,11 @@ examples:
 
 Stop it at any time: the same command goes on from there. The data are for non-commercial use (CC BY-NC-SA 3.0), see cvlibs.net.
 """
+
+
+def progress(**settings: Any) -> tqdm:
+    """A bar on stdout, since stderr is for the one line of an error; a log file gets fewer updates than a terminal."""
+    return tqdm(file=sys.stdout, mininterval=0.5 if sys.stdout.isatty() else 5.0, dynamic_ncols=True, **settings)
 
 
 def unpacked_cameras(archive: Archive, root: Path) -> set[str] | None:
@@ -79,7 +82,7 @@ def plan(archives: list[Archive], root: Path, *, kitti_home: str, keep_archives:
         InputError: an archive does not exist, no network, or the disk is too small.
     """
     sizes = {}
-    for archive in tqdm(archives, "asking for sizes", unit="archive", leave=False, **BAR):
+    for archive in progress(iterable=archives, desc="asking for sizes", unit="archive", leave=False):
         sizes[archive.name] = remote_size(kitti_home + archive.address)
     left = {name: max(0, size - part_size(root / "archives" / name)) for name, size in sizes.items()}
     total, missing = sum(sizes.values()), sum(left.values())
@@ -98,7 +101,7 @@ def install(archive: Archive, root: Path, cameras: Sequence[str], *, kitti_home:
     path = root / "archives" / archive.name
     fetch(kitti_home + archive.address, path, digest=archive.digest, bar=bar)
     try:
-        with tqdm(desc=f"unpacking {archive.name}", unit="B", unit_scale=True, leave=False, position=1, **BAR) as unpacking:
+        with progress(desc=f"unpacking {archive.name}", unit="B", unit_scale=True, leave=False, position=1) as unpacking:
             unpacked = unpack(path, root / archive.folder, lambda member: archive.place(member, cameras), unpacking)
     except BadArchiveError as error:
         path.unlink()
@@ -122,7 +125,7 @@ def download(
         return 0
     total = plan(pending, root, kitti_home=kitti_home, keep_archives=keep_archives)
     begun = sum(part_size(root / "archives" / archive.name) for archive in pending)
-    with tqdm(total=total, initial=begun, unit="B", unit_scale=True, **BAR) as bar:
+    with progress(total=total, initial=begun, unit="B", unit_scale=True) as bar:
         for number, archive in enumerate(pending, 1):
             bar.set_description(f"{number}/{len(pending)} {archive.name}")
             install(archive, root, cameras, kitti_home=kitti_home, keep_archives=keep_archives, bar=bar)
@@ -166,7 +169,7 @@ def main(argv: Sequence[str] | None = None, *, kitti_home: str = KITTI_HOME, lis
         drives = list(arguments.drives)
         drive_archives(drives)  # a misspelt name is told before anything is fetched
         profile = load_profile(arguments.profile) if arguments.profile else None
-        writable(root)
+        check_writable(root)
         if profile:
             drives += profile_drives(profile, lists, lists_home)
         if profile or arguments.lists_only:
@@ -188,14 +191,11 @@ def main(argv: Sequence[str] | None = None, *, kitti_home: str = KITTI_HOME, lis
     return 0
 
 
-def writable(root: Path) -> None:
-    """Make the folder to fill, or raise an `InputError` where that cannot be."""
-    try:
-        root.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise disk_error(root, error) from None
-    if not os.access(root, os.W_OK):
-        raise InputError(f"{root}: cannot be written; give --root a folder of your own")
+def check_writable(root: Path) -> None:
+    """Check that the folder to fill can be made and written, without making it."""
+    existing = next(folder for folder in (root.absolute(), *root.absolute().parents) if folder.exists())
+    if not existing.is_dir() or not os.access(existing, os.W_OK):
+        raise InputError(f"{root}: {existing} is not a folder that can be written; give --root a folder of your own")
 
 
 if __name__ == "__main__":

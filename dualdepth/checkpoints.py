@@ -67,8 +67,13 @@ def load_card(path: str | Path) -> dict[str, Any]:
         raise InputError(f"{card}: the weights' card cannot be read ({error}); keep it beside the weights") from None
 
 
-def load_weights(path: str | Path, model: nn.Module) -> dict[str, Any]:
+def load_weights(path: str | Path, model: nn.Module, prefix: str = "") -> dict[str, Any]:
     """Fill `model` with released weights, and return their card.
+
+    Args:
+        path: the safetensors file; its card lies beside it.
+        model: takes the tensors whose names begin with `prefix`, without it.
+        prefix: of the part to load, such as `depth_net.`.
 
     Raises:
         InputError: the file is missing, truncated, changed since its card was written, or of another network.
@@ -85,7 +90,7 @@ def load_weights(path: str | Path, model: nn.Module) -> dict[str, Any]:
             f"{path}: sha256 {digest[:12]}… is not the card's {str(card.get('sha256'))[:12]}…; the file was changed, copy it again"
         )
     try:
-        model.load_state_dict(tensors)
+        model.load_state_dict({name.removeprefix(prefix): t for name, t in tensors.items() if name.startswith(prefix)})
     except RuntimeError as error:
         raise InputError(
             f"{path}: weights of another network ({str(error).splitlines()[1].strip()[:120]}); check the profile's encoder"

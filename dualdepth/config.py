@@ -60,6 +60,12 @@ class Data(Settings):
     """Drives like `2011_09_26/2011_09_26_drive_0095_sync`; neighbours in number make a triplet."""
     cameras: list[str] = ["image_02"]
     """Camera folders a drive is read from; the first that exists is used by `train_drives`."""
+    static_frames: str | None = None
+    """Name of a list of frames where the camera stands still; they are left out of `train_drives`."""
+    test_scenes: str | None = None
+    """Name of a list of drives that must not be trained on."""
+    baseline_frames: int = 400
+    """Training-side laser frames, at most, that the baselines without learning are fitted on."""
     test_list: str | None = None
     """Name of a list (`eigen_test`) or path of a file with the frames to score."""
     allow_missing: bool = False
@@ -71,8 +77,8 @@ class Data(Settings):
     def _sizes(self) -> "Data":
         if any(side % 96 for side in self.hr_size):
             raise ValueError(f"hr_size {self.hr_size}: both sides must be multiples of 96 (a third of each is divided by 32)")
-        if self.source == "kitti" and not self.train_list and not self.train_drives:
-            raise ValueError("give train_list or train_drives")
+        if self.source == "kitti" and bool(self.train_list) == bool(self.train_drives):
+            raise ValueError("give either train_list or train_drives")
         return self
 
     @property

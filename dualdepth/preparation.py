@@ -5,8 +5,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from dualdepth.atomic import write_json
-from dualdepth.data.kitti import Frame, check_root, image_path, read_frame_list, read_static_frames, read_test_scenes
+from dualdepth.data.kitti import Frame, check_root, image_path, read_frame_list, read_static_frames, read_test_scenes, velodyne_path
 from dualdepth.data.triplets import drive_triplets, missing_neighbours, name_missing, write_targets
 from dualdepth.errors import InputError
 from dualdepth.results import Run
@@ -18,20 +20,20 @@ class Sources(NamedTuple):
     kitti_root: Path
     test_list: Path
     train_list: Path | None = None
+    train_drives: tuple[str, ...] = ()
+    """Training drives where the profile names none: those of the synthetic world."""
     static_frames: Path | None = None
     test_scenes: Path | None = None
-    baseline_list: Path | None = None
-    """Training-side frames with a laser scan, to fit the baselines on; None: leave one drive of the scored frames out."""
 
     def save(self, run: Run) -> None:
         """Write `work/<profile>/sources.json`."""
-        write_json(run.sources, {k: str(v) if v else None for k, v in self._asdict().items()})
+        write_json(run.sources, {k: str(v) if isinstance(v, Path) else v for k, v in self._asdict().items()})
 
     @classmethod
     def load(cls, run: Run) -> "Sources":
         """Read what notebook 01 wrote."""
         values = json.loads(run.require(run.sources, "01_download_data").read_text(encoding="utf-8"))
-        return cls(**{k: Path(v) if v else None for k, v in values.items()})
+        return cls(**{k: Path(v) if isinstance(v, str) else tuple(v) if isinstance(v, list) else v for k, v in values.items()})
 
 
 def training_targets(run: Run, sources: Sources) -> list[Frame]:
@@ -43,16 +45,13 @@ def training_targets(run: Run, sources: Sources) -> list[Frame]:
     data, root = run.profile.data, check_root(sources.kitti_root)
     static = read_static_frames(sources.static_frames) if sources.static_frames else set()
     scenes = read_test_scenes(sources.test_scenes) if sources.test_scenes else set()
-    if sources.train_list and data.train_list:
+    if sources.train_list:
         targets = read_frame_list(sources.train_list)
         missing = missing_neighbours(root, targets)
         if missing:
             raise name_missing("training frames", root, missing)
         return targets
-    drives = data.train_drives
-    if not drives and sources.train_list:
-        drives = sources.train_list.read_text(encoding="utf-8").split()
-    return drive_triplets(root, drives, data.cameras, static, scenes)
+    return drive_triplets(root, data.train_drives or sources.train_drives, data.cameras, static, scenes)
 
 
 def test_frames(run: Run, sources: Sources) -> tuple[list[Frame], int]:
@@ -74,6 +73,13 @@ def write_training_index(run: Run, sources: Sources, targets: Sequence[Frame]) -
     path = run.prepared / "triplets.csv"
     write_targets(path, sources.kitti_root, targets)
     return path
+
+
+def laser_frames(sources: Sources, targets: Sequence[Frame], most: int) -> list[Frame]:
+    """Up to `most` training-side left frames that have a laser scan, evenly spread, to fit the baselines without learning on."""
+    scanned = [f for f in targets if f.camera == "image_02" and velodyne_path(sources.kitti_root, f).is_file()]
+    chosen = np.unique(np.linspace(0, len(scanned) - 1, min(most, len(scanned))).round().astype(int))
+    return [scanned[i] for i in chosen]
 
 
 def check_separate(train: Sequence[Frame], test: Sequence[Frame]) -> None:

@@ -3,6 +3,7 @@
 import ast
 import datetime
 import hashlib
+import json
 import platform
 import subprocess
 from collections.abc import Iterable
@@ -20,9 +21,10 @@ from dualdepth.errors import InputError
 PACKAGE = Path(__file__).parent
 
 CODE = {
+    "world": ("data_scripts.make_miniature", "data_scripts.miniature"),
+    "prepare": ("data_scripts.prepare_data", "data_scripts.export_depth", "data.kitti", "data.triplets", "data.lidar", "data.depth_maps"),
     "train": ("networks", "geometry", "losses", "stages", "training", "data.augmentation", "data.loading"),
-    "prepare": ("data.kitti", "data.triplets", "data.lidar", "data.depth_maps"),
-    "evaluate": ("evaluation", "predict"),
+    "evaluate": ("evaluation", "predict", "scoring", "tables", "paper"),
 }
 """Modules whose code shapes a step's result; a change in one of them makes the step stale."""
 
@@ -141,14 +143,21 @@ def file_digest(path: Path) -> str | None:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def code_digest(step: str) -> str:
-    """Digest of the code of a step's modules, blind to comments, docstrings and layout."""
+def code_digest(*steps: str) -> str:
+    """Digest of the code of some steps' modules, blind to comments, docstrings and layout."""
     digest = hashlib.sha256()
-    for module in CODE[step]:
-        path = PACKAGE / module.replace(".", "/")
+    for module in (module for step in steps for module in CODE[step]):
+        path = (PACKAGE.parent if module.startswith("data_scripts") else PACKAGE) / module.replace(".", "/")
         for file in sorted(path.rglob("*.py")) if path.is_dir() else [path.with_suffix(".py")]:
             digest.update(_meaning(file.read_text(encoding="utf-8")).encode())
     return digest.hexdigest()[:16]
+
+
+def notebook_digest(name: str) -> str:
+    """Digest of a notebook's cells, blind to their outputs."""
+    path = project_root() / "notebooks" / f"{name}.ipynb"
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    return hashlib.sha256(json.dumps(["".join(cell["source"]) for cell in cells]).encode()).hexdigest()[:16]
 
 
 def _meaning(source: str) -> str:

@@ -26,8 +26,9 @@ class Shadows:
 
     def at(self, x: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Sunlight at ground points, (N,) float32; outside of the map it shines everywhere."""
-        column = ((x - self.corner[0]) / CELL).astype(np.float32).clip(-1, self.sunlight.shape[1])
-        row = ((z - self.corner[1]) / CELL).astype(np.float32).clip(-1, self.sunlight.shape[0])
+        left, near = self.corner.tolist()
+        column = ((x - left) / CELL).astype(np.float32).clip(-1, self.sunlight.shape[1])
+        row = ((z - near) / CELL).astype(np.float32).clip(-1, self.sunlight.shape[0])
         return cv2.remap(self.sunlight, column[None], row[None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=1.0)[0]
 
 

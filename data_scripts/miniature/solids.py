@@ -160,7 +160,7 @@ def car(place: Place, paint, seed: float, moving: bool = False) -> list[Prism]:
     wheels = []
     for axle in (-1.3 * scale, 1.3 * scale):
         rim = [(axle + 0.32 * np.cos(a), 0.32 + 0.32 * np.sin(a)) for a in angles]
-        wheels.append(prism(place, rim, 0.8 * scale, ["plain"] * 10 + ["wheel"] * 2, CAR, [dark] * 12, seed, moving))
+        wheels.append(prism(place, rim, 0.875 * scale, ["plain"] * 10 + ["wheel"] * 2, CAR, [dark] * 12, seed, moving))
     return [shade, lower, upper, *wheels]
 
 

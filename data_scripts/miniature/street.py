@@ -50,8 +50,9 @@ class Street:
 
     def coordinates(self, x: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Street coordinates `s`, `d` of ground points, two (N,) float32 arrays; N below 32,767 (OpenCV's limit)."""
-        column = ((x - self.corner[0]) / CELL).astype(np.float32).clip(0, self.grid.shape[1] - 1)
-        row = ((z - self.corner[1]) / CELL).astype(np.float32).clip(0, self.grid.shape[0] - 1)
+        left, near = self.corner.tolist()
+        column = ((x - left) / CELL).astype(np.float32).clip(0, self.grid.shape[1] - 1)
+        row = ((z - near) / CELL).astype(np.float32).clip(0, self.grid.shape[0] - 1)
         both = cv2.remap(self.grid, column[None], row[None], cv2.INTER_LINEAR)[0]
         return both[:, 0], both[:, 1]
 

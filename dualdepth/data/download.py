@@ -82,7 +82,6 @@ def fetch(address: str, path: str | Path, *, digest: str | None = None, bar: tqd
         return path
     partial, mark = part_of(path), path.with_name(f"{path.name}.part.etag")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
         _with_retries(lambda: _transfer(address, partial, mark, bar), address, if_offline, lambda: part_size(path))
         _verify(partial, digest, "the download is deleted; run again")
         partial.replace(path)
@@ -181,12 +180,13 @@ def _transfer(address: str, partial: Path, mark: Path, bar: tqdm | None) -> None
     with response:
         if response.status == 206:
             begins = (response.headers["Content-Range"] or "").startswith(f"bytes {have}-")
-            if not begins or _version(response) != version:
+            if not begins or _version(response) not in ("", version):  # a 206 need not repeat the date
                 _discard(partial, mark, have, bar)
                 raise ConnectionError("the server answered with another part of the file than asked for")
         else:
             _discard(partial, mark, have, bar)
             have = 0
+            partial.parent.mkdir(parents=True, exist_ok=True)
             if _version(response):
                 write_text(mark, _version(response))
         length = response.headers["Content-Length"]

@@ -74,7 +74,7 @@ def named_list(name: str, cache_dir: str | Path, home: str = LISTS_HOME) -> Path
     for number, revision in enumerate(entry.homes, 1):
         address = f"{home}{revision}/{entry.path}"
         try:
-            return fetch(address, path, digest=f"sha256:{entry.sha256}", if_offline=f"or put the list at {path} yourself")
+            return fetch(address, path, digest=f"sha256:{entry.sha256}", if_offline=f"else put the list at {path} yourself")
         except NotThereError:
             if number == len(entry.homes):
                 raise

@@ -1,0 +1,129 @@
+"""Find or make a profile's data, and prepare them: training triplets, frames to score, their ground truth.
+
+python data_scripts/prepare_data.py --profile sample --kitti-root DIR
+"""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+from data_scripts import download_kitti, export_depth, make_miniature
+from dualdepth.atomic import write_json, write_text
+from dualdepth.data.kitti import CAMERA_OF_SIDE, Frame, check_root
+from dualdepth.data.sources import named_list
+from dualdepth.errors import InputError, exit_on_input_error
+from dualdepth.preparation import Sources, check_separate, laser_frames, test_frames, training_targets, write_training_index
+from dualdepth.results import Run
+
+
+class Prepared(NamedTuple):
+    """What `prepare` wrote, counted."""
+
+    triplets: int
+    scored: int
+    listed: int
+    baseline: int
+    """Training-side laser frames for the baselines; 0: each scored drive is predicted from the others."""
+
+
+def find_data(run: Run, kitti_root: str = "", test_list: str = "") -> Sources:
+    """Make the synthetic world, or take the user's KITTI, or download what the profile needs; remember where it is.
+
+    Raises:
+        InputError: the folder is no KITTI root, or a list or download cannot be had.
+    """
+    if run.profile.world:
+        if kitti_root or test_list:
+            raise InputError(f"profile {run.profile.name} makes its own data: KITTI_ROOT and TEST_LIST belong to sample, paper or your own")
+        root = make_miniature.make(run.profile.name, run.work / "miniature")
+        sources = world_sources(root)
+    else:
+        sources = kitti_sources(run, kitti_root, test_list)
+    sources.save(run)
+    return sources
+
+
+def world_sources(root: Path) -> Sources:
+    """Sources of a synthetic world."""
+    lists = root / "lists"
+    drives = tuple((lists / "train_drives.txt").read_text(encoding="utf-8").split())
+    return Sources(
+        kitti_root=root / "kitti_raw",
+        test_list=lists / "test_files.txt",
+        train_drives=drives,
+        static_frames=lists / "static_frames.txt",
+        test_scenes=lists / "test_scenes.txt",
+    )
+
+
+def kitti_sources(run: Run, kitti_root: str, test_list: str) -> Sources:
+    """Sources of real KITTI; without `kitti_root` the profile's drives are downloaded to `work/kitti`."""
+    data, home = run.profile.data, run.root / "work" / "kitti"
+    if not kitti_root:
+        code = download_kitti.main(["--profile", run.profile.name, "--root", str(home)])
+        if code:
+            raise InputError("the download did not end well; run the same command to go on")
+    root = check_root(kitti_root or home)
+
+    def listed(name: str | None) -> Path | None:
+        return named_list(name, home / "lists") if name else None
+
+    scored = Path(test_list or data.test_list or "")
+    if not test_list and data.test_list and not scored.is_file():
+        scored = named_list(data.test_list, home / "lists")
+    return Sources(
+        kitti_root=root.resolve(),
+        test_list=scored.resolve(),
+        train_list=listed(f"{data.train_list}_train" if data.train_list else None),
+        static_frames=listed(data.static_frames),
+        test_scenes=listed(data.test_scenes),
+    )
+
+
+def prepare(run: Run) -> Prepared:
+    """Write `work/<profile>/prepared`: triplets.csv, test_frames.json, ground_truth.npz and, where training frames have scans, baseline_truth.npz.
+
+    Raises:
+        InputError: files are missing (all in one message), or a drive is both trained on and scored.
+    """
+    sources = Sources.load(run)
+    targets = training_targets(run, sources)
+    scored, listed = test_frames(run, sources)
+    check_separate(targets, scored)
+    fitted = laser_frames(sources, targets, run.profile.data.baseline_frames)
+    write_training_index(run, sources, targets)
+    _export(run, sources, scored, "ground_truth.npz")
+    (run.prepared / "baseline_truth.npz").unlink(missing_ok=True)
+    if fitted:
+        _export(run, sources, fitted, "baseline_truth.npz")
+    write_json(run.prepared / "test_frames.json", {"listed": listed, "frames": [list(frame) for frame in scored]})
+    return Prepared(len(targets), len(scored), listed, len(fitted))
+
+
+def _export(run: Run, sources: Sources, frames: list[Frame], name: str) -> None:
+    sides = {camera: side for side, camera in CAMERA_OF_SIDE.items()}
+    frame_list = run.prepared / Path(name).with_suffix(".txt")
+    write_text(frame_list, "".join(f"{f.drive} {f.index:010d} {sides[f.camera]}\n" for f in frames))
+    export_depth.export(sources.kitti_root, frame_list, run.prepared / name, camera_z=False, improved=None, allow_missing=False)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command line."""
+    parser = argparse.ArgumentParser(description="Find or make a profile's data and prepare them.")
+    parser.add_argument("--profile", default="tiny", help="tiny, miniature, sample, paper, or a YAML file (default: %(default)s)")
+    parser.add_argument(
+        "--kitti-root", default="", metavar="DIR", help="folder that holds 2011_09_26 and the other days; else it is downloaded"
+    )
+    parser.add_argument("--test-list", default="", metavar="FILE", help="frames to score instead of the profile's, in the field's format")
+    arguments = parser.parse_args(argv)
+    with exit_on_input_error():
+        run = Run(arguments.profile)
+        find_data(run, arguments.kitti_root, arguments.test_list)
+        done = prepare(run)
+        print(f"{run.prepared}: {done.triplets} triplets, {done.scored} of {done.listed} frames to score")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

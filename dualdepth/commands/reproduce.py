@@ -1,0 +1,93 @@
+"""`dualdepth reproduce` and `dualdepth notebook`: the chain of notebooks, and one of them."""
+
+import argparse
+
+ROOTS = ("kitti_root", "test_list")
+"""Where a user's own data are: handed to notebook 01."""
+
+
+def add_reproduce(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add the subcommand `reproduce`."""
+    parser = commands.add_parser("reproduce", help="run all notebooks of a profile in order, and only what is not done yet")
+    parser.add_argument("--profile", default="tiny", help="tiny, miniature, sample, paper, or a YAML file (default: %(default)s)")
+    parser.add_argument("--kitti-root", default="", metavar="DIR", help="folder that holds 2011_09_26 and the other days")
+    parser.add_argument("--test-list", default="", metavar="FILE", help="frames to score instead of the profile's, in the field's format")
+    parser.add_argument("--seeds", default="", metavar="0,1,2", help="seeds to train instead of the profile's")
+    parser.add_argument("--cores", default="all", help="cores Snakemake may use (default: %(default)s)")
+    parser.add_argument("snakemake", nargs="*", metavar="-- OPTION", help="after --: options for Snakemake, such as --executor slurm")
+    parser.set_defaults(run=reproduce)
+
+
+def add_notebook(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add the subcommand `notebook`."""
+    parser = commands.add_parser("notebook", help="run one notebook by papermill")
+    parser.add_argument("name", help="such as 03_train_lr")
+    parser.add_argument("--out", required=True, metavar="FILE", help="where the executed copy goes")
+    parser.add_argument("parameters", nargs="*", metavar="KEY=VALUE", help="the notebook's parameters")
+    parser.set_defaults(run=notebook)
+
+
+def reproduce(arguments: argparse.Namespace) -> int:
+    """Run the chain under a lock, so that two runs of one profile cannot mix.
+
+    Raises:
+        InputError: bad profile, seeds or paths, or a live run of the same profile.
+    """
+    import os
+    import subprocess
+    import sys
+    from pathlib import Path
+
+    from dualdepth.errors import InputError
+    from dualdepth.lock import locked
+    from dualdepth.results import Run
+
+    run = Run(arguments.profile)
+    seeds = parse_seeds(arguments.seeds) or run.profile.seeds
+    config = {"profile": arguments.profile, "seeds": ",".join(map(str, seeds))}
+    for name in ROOTS:
+        given = getattr(arguments, name)
+        if given and not Path(given).exists():
+            raise InputError(f"{name.upper()} {given}: there is no such file or folder")
+        config[name] = str(Path(given).resolve()) if given else ""
+    settings = [f"{k}={v}" for k, v in config.items()]
+    command = [sys.executable, "-m", "snakemake", "--cores", arguments.cores, "--nolock", "--rerun-incomplete", "--quiet", "all"]
+    with locked(run.work / "lock"):
+        # libraries' threads and Snakemake's side-by-side jobs share the cores
+        done = subprocess.run([*command, *arguments.snakemake, "--config", *settings], cwd=run.root, env=os.environ, check=False)
+    if done.returncode == 0:
+        print(f"results: {run.results.relative_to(run.root)}/tables, figures, notebooks")
+    return done.returncode and 1
+
+
+def notebook(arguments: argparse.Namespace) -> int:
+    """Run one notebook.
+
+    Raises:
+        InputError: a malformed or unknown parameter, or an error inside that a user can mend.
+    """
+    from dualdepth.errors import InputError
+    from dualdepth.notebooks import run_notebook
+
+    parameters = {}
+    for pair in arguments.parameters:
+        key, equals, value = pair.partition("=")
+        if not equals:
+            raise InputError(f"parameter {pair!r} is not KEY=VALUE")
+        parameters[key] = int(value) if value.lstrip("-").isdigit() else value
+    run_notebook(arguments.name, arguments.out, parameters)
+    return 0
+
+
+def parse_seeds(text: str) -> list[int]:
+    """Seeds of `0,1,2`; none of an empty text.
+
+    Raises:
+        InputError: something else than whole numbers between commas.
+    """
+    from dualdepth.errors import InputError
+
+    try:
+        return [int(part) for part in text.split(",")] if text else []
+    except ValueError:
+        raise InputError(f"seeds {text!r}: give whole numbers between commas, such as 0,1,2") from None

@@ -1,0 +1,120 @@
+"""Measured rows of the tables: predictions of a training, of an untrained network, and of baselines without learning."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import torch
+
+from dualdepth.atomic import atomic_path, write_json, write_text
+from dualdepth.config import Evaluation
+from dualdepth.data.depth_maps import DepthMaps, load_ground_truth
+from dualdepth.data.kitti import Frame, image_path
+from dualdepth.evaluation import baselines
+from dualdepth.evaluation.depth import evaluate, summary
+from dualdepth.networks.lr_net import LRNet
+from dualdepth.predict import load_depth_net, predict_disparities
+from dualdepth.preparation import Sources
+from dualdepth.results import Run
+
+
+def scored_frames(run: Run) -> list[Frame]:
+    """The frames that are scored, in the ground truth's order (notebook 02)."""
+    rows = json.loads(run.require(run.prepared / "test_frames.json", "02_prepare_data").read_text(encoding="utf-8"))
+    return [Frame(*row) for row in rows["frames"]]
+
+
+def scored_note(run: Run) -> str:
+    """What a table must say when an incomplete list is scored ("25 of 697"), else nothing."""
+    rows = json.loads(run.require(run.prepared / "test_frames.json", "02_prepare_data").read_text(encoding="utf-8"))
+    return "" if len(rows["frames"]) == rows["listed"] else f"{len(rows['frames'])} of {rows['listed']} frames"
+
+
+def truth(run: Run) -> DepthMaps:
+    """Ground truth of the scored frames (notebook 02)."""
+    return load_ground_truth(run.require(run.prepared / "ground_truth.npz", "02_prepare_data"))
+
+
+def image_paths(run: Run) -> list[Path]:
+    """Image files of the scored frames."""
+    root = Sources.load(run).kitti_root
+    return [path for frame in scored_frames(run) if (path := image_path(root, frame))]
+
+
+def score_training(run: Run, variant: str, seed: int, device: str = "cpu") -> pd.DataFrame:
+    """Predict and score the test frames with a training's last weights; both are kept beside the weights and reused while they fit.
+
+    Writes `disparities.npy` (N, h, w) as the field saves it, and `per_image.csv`.
+    """
+    weights = run.require(run.weights(variant, seed), "03_train_lr")
+    folder = run.training(variant, seed)
+    made_from = _made_from(run, weights)
+    if _is_current(folder / "per_image.json", made_from):
+        return pd.read_csv(folder / "per_image.csv", index_col="image")
+    net, size = load_depth_net(weights)
+    disparities = predict_disparities(net, image_paths(run), size, device=device)
+    with atomic_path(folder / "disparities.npy") as partial:
+        np.save(partial, disparities)
+    scores = evaluate(disparities, truth(run), name=str(folder / "disparities.npy"), kind="disparity", **protocol(run.profile.evaluation))
+    write_text(folder / "per_image.csv", scores.to_csv())
+    write_json(folder / "per_image.json", made_from)
+    return scores
+
+
+def score_untrained(run: Run, seed: int) -> pd.DataFrame:
+    """Score the network of the same seed before its first step: what the architecture alone gives."""
+    torch.manual_seed(seed)
+    net = LRNet(run.profile.training.encoder, run.profile.training.pretrained).eval()
+    disparities = predict_disparities(net, image_paths(run), run.profile.data.hr_size)
+    return evaluate(disparities, truth(run), name="untrained", kind="disparity", **protocol(run.profile.evaluation))
+
+
+def score_baselines(run: Run) -> dict[str, pd.DataFrame]:
+    """Score constant depth, per-row mean and mean depth map, by name.
+
+    They are fitted on training-side laser frames; where the only laser frames are the scored ones, each drive is predicted from
+    the others.
+    """
+    maps, limit = truth(run), run.profile.evaluation.max_depth
+    fitted = run.prepared / "baseline_truth.npz"
+    scores = {}
+    for name in baselines.BASELINES:
+        if fitted.exists():
+            sums = baselines.depth_sums(load_ground_truth(fitted), grid=baselines.GRID, max_depth=limit)
+            predictions: Sequence[np.ndarray] = [baselines.predict(sums, name, depth.shape) for depth in maps]
+        else:
+            drives = [frame.drive for frame in scored_frames(run)]
+            predictions = baselines.leave_one_drive_out(list(maps), drives, name, grid=baselines.GRID, max_depth=limit)
+        scores[name] = evaluate(predictions, maps, name=name, kind="depth", **protocol(run.profile.evaluation))
+    return scores
+
+
+def protocol(settings: Evaluation) -> dict[str, Any]:
+    """The profile's evaluation settings as arguments of `evaluate`."""
+    return settings.model_dump()
+
+
+def means(scores: pd.DataFrame) -> dict[str, Any]:
+    """Mean metrics and number of images of per-image scores, for a table's row."""
+    return {k: v for k, v in summary(scores).items() if k in {*scores.columns, "n"}}
+
+
+def _made_from(run: Run, weights: Path) -> dict[str, Any]:
+    from dualdepth.results import code_digest, file_digest
+
+    return {
+        "weights": file_digest(weights),
+        "truth": file_digest(run.prepared / "ground_truth.npz"),
+        "evaluation": run.profile.digest("evaluation"),
+        "code": code_digest("evaluate"),
+    }
+
+
+def _is_current(path: Path, made_from: dict[str, Any]) -> bool:
+    try:
+        return json.loads(path.read_text(encoding="utf-8")) == made_from
+    except (OSError, ValueError):
+        return False

@@ -1,0 +1,86 @@
+"""Files of ground-truth depth: plain, in order, whole or absent."""
+
+import numpy as np
+import pytest
+
+from dualdepth.data import depth_maps
+from dualdepth.errors import InputError
+
+MAPS = [np.arange(12.0).reshape(3, 4), np.ones((2, 5)), np.zeros((1, 1))]
+
+
+def test_saved_maps_come_back_in_order_as_plain_float32(tmp_path):
+    path = tmp_path / "gt.npz"
+    assert depth_maps.save_ground_truth(path, iter(MAPS)) == 3
+    loaded = depth_maps.load_ground_truth(path)
+    assert len(loaded) == 3 and loaded.names == ["000000", "000001", "000002"]
+    for written, read, again in zip(MAPS, loaded, (loaded[i] for i in range(3))):
+        assert read.dtype == np.float32
+        np.testing.assert_array_equal(read, written)
+        np.testing.assert_array_equal(again, written)
+    with np.load(path, allow_pickle=False) as archive:
+        assert archive.files == loaded.names
+
+
+def test_saving_twice_gives_the_same_bytes_and_nothing_else(tmp_path):
+    for name in ("a.npz", "b.npz"):
+        depth_maps.save_ground_truth(tmp_path / name, MAPS)
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.npz", "b.npz"]
+
+
+def test_order_is_the_files_even_where_keys_do_not_sort(tmp_path):
+    path = tmp_path / "plain.npz"
+    np.savez(path, *[np.full((2, 2), float(i)) for i in range(12)])
+    assert [depth[0, 0] for depth in depth_maps.load_ground_truth(path)] == list(range(12))
+
+
+def test_a_failed_save_leaves_the_old_file(tmp_path):
+    path = tmp_path / "gt.npz"
+    depth_maps.save_ground_truth(path, MAPS)
+    before = path.read_bytes()
+
+    def broken():
+        yield MAPS[0]
+        raise InputError("scan 1 is broken")
+
+    with pytest.raises(InputError, match="scan 1"):
+        depth_maps.save_ground_truth(path, broken())
+    assert path.read_bytes() == before and len(list(tmp_path.iterdir())) == 1
+
+
+def test_the_fields_pickle_needs_a_word(tmp_path):
+    path = tmp_path / "gt_depths.npz"
+    values = np.empty(3, object)
+    values[:] = [m.astype(np.float32) for m in MAPS]
+    np.savez_compressed(path, data=values)
+    with pytest.raises(InputError, match=r"gt_depths.npz.*--allow-pickle"):
+        depth_maps.load_ground_truth(path)
+    loaded = depth_maps.load_ground_truth(path, allow_pickle=True)
+    assert len(loaded) == 3
+    for written, read in zip(MAPS, loaded):
+        np.testing.assert_array_equal(read, written)
+
+
+def test_unreadable_ground_truth_is_named(tmp_path):
+    good = tmp_path / "good.npz"
+    depth_maps.save_ground_truth(good, MAPS)
+    for name, content in {"cut.npz": good.read_bytes()[:-30], "empty.npz": b"", "text.npz": b"hello"}.items():
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(InputError, match=name):
+            depth_maps.load_ground_truth(tmp_path / name)
+    with pytest.raises(InputError, match="no such file"):
+        depth_maps.load_ground_truth(tmp_path / "absent.npz")
+    np.savez(tmp_path / "cube.npz", a=np.zeros((2, 2, 2)))
+    with pytest.raises(InputError, match=r"cube.npz: a is float64 of shape \(2, 2, 2\)"):
+        depth_maps.load_ground_truth(tmp_path / "cube.npz")[0]
+
+
+def test_damaged_bytes_inside_the_file_are_noticed(tmp_path):
+    path = tmp_path / "gt.npz"
+    depth_maps.save_ground_truth(path, [np.random.default_rng(0).uniform(1, 80, (50, 50))])
+    content = bytearray(path.read_bytes())
+    content[3000:3010] = b"\xff" * 10
+    path.write_bytes(bytes(content))
+    with pytest.raises(InputError, match=r"gt.npz.*damaged"):
+        depth_maps.load_ground_truth(path)[0]

@@ -1,0 +1,181 @@
+"""Ground truth from laser scans: equal to a slow reference, quirks included."""
+
+from collections import Counter
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from dualdepth.data import lidar
+from dualdepth.data.kitti import Frame, read_frame_list, velodyne_path
+from dualdepth.errors import InputError
+
+REAL = Path(__file__).parents[3] / "shared" / "data"
+FRAME = Frame("2011_09_26/2011_09_26_drive_0001_sync", 3)
+PROJECTION = np.array([[0.0, -40, 0, 0], [0, 0, -40, 0], [1, 0, 0, -0.27]]) + np.array([[30.0], [20], [0]]) * [1, 0, 0, -0.27]
+
+
+def slow_depth(scan, projection, size, camera_z=False):
+    """PROTOCOLS B1, step by step, one point and one cell at a time."""
+    height, width = size
+    points = scan[scan[:, 0] >= 0].astype(np.float64)
+    points[:, 3] = 1
+    projected = np.dot(projection, points.T).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        pixels = np.round(projected[:, :2] / projected[:, 2:]) - 1
+    depth, kept = np.zeros(size), []
+    for (column, row), z, point in zip(pixels.tolist(), projected[:, 2], points):
+        if 0 <= column < width and 0 <= row < height:
+            kept.append((int(row), int(column), z if camera_z else point[0]))
+            depth[int(row), int(column)] = kept[-1][2]
+    index = [row * (width - 1) + column - 1 for row, column, _ in kept]
+    groups: dict[int, list] = {}
+    for i, item in zip(index, kept):
+        groups.setdefault(i, []).append(item)
+    for i in [i for i, hits in Counter(index).items() if hits > 1]:
+        row, column, _ = groups[i][0]
+        depth[row, column] = min(value for _, _, value in groups[i])
+    depth[depth < 0] = 0
+    return depth.astype(np.float32)
+
+
+def make_root(root, scan, *, image=(48, 64), calibration=True):
+    date = root / FRAME.date
+    path = velodyne_path(root, FRAME)
+    path.parent.mkdir(parents=True)
+    scan.astype("<f4").tofile(path)
+    row = "1 0 0 0 1 0 0 0 1"
+    (date / "calib_cam_to_cam.txt").write_text(
+        f"S_rect_02: 80 40\nR_rect_00: {row}\nP_rect_02: 40 0 30 0 0 40 20 0 0 0 1 0\n", encoding="utf-8"
+    )
+    if calibration:
+        (date / "calib_velo_to_cam.txt").write_text("R: 0 -1 0 0 0 -1 1 0 0\nT: 0 0 -0.27\n", encoding="utf-8")
+    if image:
+        target = root / FRAME.drive / "image_02" / "data" / "0000000003.png"
+        target.parent.mkdir(parents=True)
+        cv2.imwrite(str(target), np.zeros((*image, 3), np.uint8))
+    return root
+
+
+def random_scan(seed, count=4000):
+    rng = np.random.default_rng(seed)
+    scan = rng.uniform(-1, 1, (count, 4)) * [30, 12, 6, 1]
+    scan[:40, 0] = rng.uniform(0, 0.3, 40)  # between laser and camera: behind the image plane
+    scan[40] = [0.27, 1, 1, 0]
+    return scan.astype(np.float32)
+
+
+@pytest.mark.parametrize("camera_z", [False, True])
+@pytest.mark.parametrize("seed", range(4))
+def test_random_scans_equal_the_reference_bit_for_bit(seed, camera_z):
+    scan = random_scan(seed)
+    fast = lidar.depth_from_scan(scan, PROJECTION, (40, 60), camera_z=camera_z)
+    assert np.count_nonzero(fast) > 100
+    np.testing.assert_array_equal(fast, slow_depth(scan, PROJECTION, (40, 60), camera_z))
+
+
+def test_real_scans_equal_the_reference_bit_for_bit():
+    if not REAL.is_dir():
+        pytest.skip("no real KITTI frames beside the repository (../shared/data)")
+    frames = read_frame_list(REAL / "splits" / "sample_val.txt")
+    root = REAL / "kitti_raw"
+    projection = lidar.velodyne_projection(root, frames[0].date)
+    for number, frame in enumerate(frames):
+        camera_z = number % 4 == 0
+        depth = lidar.ground_truth(root, frame, camera_z=camera_z)
+        assert depth.dtype == np.float32 and depth.shape == (375, 1242)
+        scan = lidar.read_scan(velodyne_path(root, frame))
+        np.testing.assert_array_equal(depth, slow_depth(scan, projection, (375, 1242), camera_z))
+
+
+def test_laser_forward_is_the_default_and_differs_from_camera_z_by_the_lever_arm():
+    scan = np.array([[10, 0, 0, 0.5]], np.float32)
+    assert lidar.depth_from_scan(scan, PROJECTION, (40, 60)).max() == 10
+    assert lidar.depth_from_scan(scan, PROJECTION, (40, 60), camera_z=True).max() == pytest.approx(9.73, abs=1e-5)
+
+
+def test_points_between_laser_and_camera_stay_and_those_behind_the_laser_go():
+    between, behind = np.array([[0.1, 0, 0, 0]], np.float32), np.array([[-0.1, 0, 0, 0]], np.float32)
+    assert lidar.depth_from_scan(between, PROJECTION, (40, 60))[19, 29] == np.float32(0.1)
+    np.testing.assert_array_equal(lidar.depth_from_scan(between, PROJECTION, (40, 60), camera_z=True), 0)
+    np.testing.assert_array_equal(lidar.depth_from_scan(behind, PROJECTION, (40, 60)), 0)
+
+
+def test_pixels_round_half_to_even_and_lose_one():
+    projection = np.array([[0, -1.0, 0, 0], [0, 0, -1.0, 0], [1, 0, 0, 0]])
+    scan = np.array([[1, -2.5, -4.5, 0], [1, -3.5, -5.5, 0]], np.float32)  # (u, v) = (2.5, 4.5), (3.5, 5.5)
+    rows, columns = np.nonzero(lidar.depth_from_scan(scan, projection, (10, 10)))
+    assert list(zip(rows, columns)) == [(3, 1), (5, 3)]
+
+
+def test_last_column_and_next_rows_first_column_share_a_group():
+    projection = np.array([[0, -1.0, 0, 0], [0, 0, -1.0, 0], [1, 0, 0, 0]])
+
+    def at(row, column, depth):
+        return [depth, -(column + 1) * depth, -(row + 1) * depth, 0]
+
+    scan = np.array([at(2, 9, 8), at(3, 0, 2), at(5, 5, 7), at(5, 5, 4), at(5, 5, 6), at(6, 6, 9)], np.float32)
+    depth = lidar.depth_from_scan(scan, projection, (10, 10))
+    assert depth[2, 9] == 2 and depth[3, 0] == 2
+    assert depth[5, 5] == 4 and depth[6, 6] == 9
+    reverse = lidar.depth_from_scan(scan[[1, 0]] * [[1, 1, 1, 1], [0.125, 0.125, 0.125, 1]], projection, (10, 10))
+    assert reverse[3, 0] == 1 and reverse[2, 9] == 1
+
+
+def test_a_scan_without_points_in_view_gives_an_empty_map():
+    assert not lidar.depth_from_scan(np.array([[-5, 0, 0, 0]], np.float32), PROJECTION, (40, 60)).any()
+
+
+def test_map_has_the_images_size_or_else_that_of_the_calibration(tmp_path):
+    scan = random_scan(0, 500)
+    assert lidar.ground_truth(make_root(tmp_path / "a", scan, image=(48, 64)), FRAME).shape == (48, 64)
+    assert lidar.ground_truth(make_root(tmp_path / "b", scan, image=None), FRAME).shape == (40, 80)
+
+
+def test_projection_joins_the_three_calibration_steps(tmp_path):
+    root = make_root(tmp_path, random_scan(0, 50))
+    np.testing.assert_allclose(lidar.velodyne_projection(root, FRAME.date), PROJECTION, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "content, says",
+    [(b"", "0 bytes"), (b"\0" * 33, "33 bytes"), (np.full(4, np.nan, "<f4").tobytes(), "not finite"), (None, "cannot read")],
+)
+def test_a_broken_scan_is_named(tmp_path, content, says):
+    path = tmp_path / "0000000003.bin"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(InputError, match=f"0000000003.bin.*{says}"):
+        lidar.read_scan(path)
+
+
+def test_missing_calibration_is_named(tmp_path):
+    root = make_root(tmp_path, random_scan(0, 50), calibration=False)
+    with pytest.raises(InputError, match=r"calib_velo_to_cam.txt: missing; unpack"):
+        lidar.ground_truth(root, FRAME)
+
+
+def test_a_calibration_without_p_rect_is_named(tmp_path):
+    root = make_root(tmp_path, random_scan(0, 50))
+    (root / FRAME.date / "calib_cam_to_cam.txt").write_text("R_rect_00: 1 0 0 0 1 0 0 0 1\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"calib_cam_to_cam.txt: has no P_rect_02"):
+        lidar.ground_truth(root, FRAME)
+
+
+@pytest.mark.parametrize("folder", ["train/2011_09_26_drive_0001_sync", "val/2011_09_26_drive_0001_sync", FRAME.drive])
+def test_improved_ground_truth_is_the_png_over_256(tmp_path, folder):
+    path = tmp_path / folder / "proj_depth" / "groundtruth" / "image_02" / "0000000003.png"
+    path.parent.mkdir(parents=True)
+    cv2.imwrite(str(path), np.array([[0, 256], [384, 65535]], np.uint16))
+    depth = lidar.improved_ground_truth(tmp_path, FRAME)
+    assert depth.dtype == np.float32
+    np.testing.assert_array_equal(depth, [[0, 1], [1.5, 65535 / 256]])
+    cv2.imwrite(str(path), np.zeros((2, 2), np.uint8))
+    with pytest.raises(InputError, match="not a 16-bit depth PNG"):
+        lidar.improved_ground_truth(tmp_path, FRAME)
+
+
+def test_missing_improved_ground_truth_is_named(tmp_path):
+    with pytest.raises(InputError, match=r"0001_sync/image_02/0000000003"):
+        lidar.improved_ground_truth(tmp_path, FRAME)

@@ -1,0 +1,263 @@
+"""The download script, run in-process against a server on loopback that holds a toy KITTI."""
+
+import hashlib
+import importlib.util
+import json
+import shutil
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from dualdepth.data import download, sources
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+
+
+def load(path):
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+loopback = load(REPOSITORY / "tests" / "data" / "loopback.py")
+script = load(REPOSITORY / "data_scripts" / "download_kitti.py")
+
+DAY, DRIVE = "2011_09_26", "2011_09_26_drive_0095_sync"
+CALIB_ADDRESS = "raw_data/2011_09_26_calib.zip"
+DRIVE_ADDRESS = "raw_data/2011_09_26_drive_0095/2011_09_26_drive_0095_sync.zip"
+EIGEN = (
+    b"2011_09_26/2011_09_26_drive_0095_sync 0000000000 l\n"
+    b"2011_09_26/2011_09_26_drive_0052_sync 0000000003 l\n"
+    b"2011_09_26/2011_09_26_drive_0013_sync 0000000001 r\n"
+)
+
+
+def drive_zip(name):
+    members = {f"{DAY}/{name}/image_0{camera}/data/0000000000.png": bytes([camera]) * 20000 for camera in range(4)}
+    members[f"{DAY}/{name}/velodyne_points/data/0000000000.bin"] = b"laser scan"
+    return loopback.zip_of(members)
+
+
+@pytest.fixture
+def server(monkeypatch):
+    monkeypatch.setenv("no_proxy", "127.0.0.1")
+    monkeypatch.setattr(download, "PAUSES", (0.0, 0.0))
+    with loopback.running() as running:
+        running.files[CALIB_ADDRESS] = loopback.zip_of({f"{DAY}/calib_cam_to_cam.txt": b"P_rect_02: 1 0 0\n"})
+        for number in ("0095", "0052", "0013"):
+            name = f"{DAY}_drive_{number}"
+            running.files[f"raw_data/{name}/{name}_sync.zip"] = drive_zip(f"{name}_sync")
+        yield running
+
+
+@pytest.fixture
+def lists(server, monkeypatch):
+    """The field's lists on the server, shortened, with checksums to match."""
+    for name, entry in sources.LISTS.items():
+        monkeypatch.setitem(sources.LISTS, name, entry._replace(sha256=hashlib.sha256(EIGEN).hexdigest()))
+        server.files[f"{entry.homes[0]}/{entry.path}"] = EIGEN
+
+
+def run(server, root, *arguments):
+    return script.main(["--root", str(root), *arguments], kitti_home=server.home, lists_home=server.home)
+
+
+def fails(server, root, capsys, *arguments):
+    """The one line on stderr of a run that must fail with exit code 2."""
+    with pytest.raises(SystemExit) as exit_info:
+        run(server, root, *arguments)
+    assert exit_info.value.code == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1
+    return lines[0]
+
+
+def files(root):
+    return sorted(str(path.relative_to(root)) for path in root.rglob("*") if path.is_file())
+
+
+def test_a_drive_comes_with_its_calibration_and_nothing_else_is_left(server, tmp_path, capsys):
+    assert run(server, tmp_path, f"{DAY}/{DRIVE}") == 0
+    assert files(tmp_path) == [
+        f"{DAY}/.calib.complete.json",
+        f"{DAY}/{DRIVE}/.complete.json",
+        *(f"{DAY}/{DRIVE}/image_0{camera}/data/0000000000.png" for camera in range(4)),
+        f"{DAY}/{DRIVE}/velodyne_points/data/0000000000.bin",
+        f"{DAY}/calib_cam_to_cam.txt",
+    ]
+    assert not (tmp_path / "archives").exists()
+    said = capsys.readouterr().out
+    assert "2 archives: 0.1 MB to download, at most 0.1 MB when unpacked" in said
+    assert f"2/2 {DRIVE}.zip: 100%" in said
+    assert "B/s]" in said
+    assert f"KITTI_ROOT={tmp_path}" in said
+
+
+def test_a_second_run_asks_the_network_nothing(server, tmp_path, capsys):
+    run(server, tmp_path, DRIVE)
+    server.requests.clear()
+    assert run(server, tmp_path, DRIVE) == 0
+    assert server.requests == []
+    assert "2 archives unpacked, 0 of them now" in capsys.readouterr().out
+
+
+def test_cameras_that_are_not_wanted_are_left_out_and_can_be_added(server, tmp_path):
+    run(server, tmp_path, DRIVE, "--cameras", "image_02", "image_03")
+    drive = tmp_path / DAY / DRIVE
+    assert sorted(path.name for path in drive.iterdir()) == [".complete.json", "image_02", "image_03", "velodyne_points"]
+    server.requests.clear()
+    run(server, tmp_path, DRIVE, "--cameras", "image_03")
+    assert server.requests == []
+    run(server, tmp_path, DRIVE, "--cameras", "image_00")
+    assert json.loads((drive / ".complete.json").read_text())["cameras"] == ["image_00", "image_02", "image_03"]
+    assert {path for _, path, _, _ in server.requests} == {DRIVE_ADDRESS}
+
+
+def test_a_drive_whose_folder_was_deleted_comes_again(server, tmp_path):
+    run(server, tmp_path, DRIVE)
+    shutil.rmtree(tmp_path / DAY / DRIVE)
+    run(server, tmp_path, DRIVE)
+    assert (tmp_path / DAY / DRIVE / "image_02" / "data" / "0000000000.png").is_file()
+
+
+def test_a_cut_download_is_taken_up_by_the_next_run(server, tmp_path, capsys):
+    run(server, tmp_path, DRIVE)
+    shutil.rmtree(tmp_path / DAY / DRIVE)
+    server.requests.clear()
+    server.cuts = [30000, 0, 0, 0]
+    assert "the connection keeps breaking" in fails(server, tmp_path, capsys, DRIVE)
+    assert files(tmp_path / "archives") == [f"{DRIVE}.zip.part", f"{DRIVE}.zip.part.etag"]
+    assert run(server, tmp_path, DRIVE) == 0
+    assert server.sent[-1] == len(server.files[DRIVE_ADDRESS]) - 30000
+    assert "are here already" in capsys.readouterr().out
+
+
+def test_archives_are_kept_on_demand_and_used_again(server, tmp_path):
+    run(server, tmp_path, DRIVE, "--keep-archives")
+    assert files(tmp_path / "archives") == ["2011_09_26_calib.zip", f"{DRIVE}.zip"]
+    shutil.rmtree(tmp_path / DAY)
+    server.requests.clear()
+    run(server, tmp_path, DRIVE, "--keep-archives")
+    assert server.sent == []
+    assert (tmp_path / DAY / DRIVE / "image_02").is_dir()
+
+
+def test_a_disk_that_is_too_small_is_told_before_anything_is_downloaded(server, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=1000))
+    assert "0.2 MB missing; free some" in fails(server, tmp_path, capsys, DRIVE)
+    assert server.sent == []
+    assert files(tmp_path) == []
+
+
+def test_an_archive_that_does_not_exist_is_told_before_anything_is_downloaded(server, tmp_path, capsys):
+    message = fails(server, tmp_path, capsys, DRIVE, "2011_09_26_drive_9999")
+    assert "2011_09_26_drive_9999_sync.zip: not there (HTTP 404)" in message
+    assert server.sent == []
+
+
+@pytest.mark.parametrize(
+    ("spoil", "expected"),
+    [
+        (lambda content: content[:-100], "not a whole zip archive"),
+        (lambda content: content.replace(b"laser scan", b"laser SCAN"), "Bad CRC-32"),
+        (lambda content: loopback.zip_of({"../evil": b"evil"}), "points outside of the folder"),
+    ],
+)
+def test_a_bad_archive_is_refused_and_comes_anew_the_next_time(server, tmp_path, capsys, spoil, expected):
+    good = server.files[DRIVE_ADDRESS]
+    server.files[DRIVE_ADDRESS] = spoil(good)
+    message = fails(server, tmp_path, capsys, DRIVE)
+    assert expected in message
+    assert "run again to get it anew" in message
+    assert files(tmp_path) == [f"{DAY}/.calib.complete.json", f"{DAY}/calib_cam_to_cam.txt"]
+    server.files[DRIVE_ADDRESS] = good
+    assert run(server, tmp_path, DRIVE) == 0
+
+
+def test_odometry_is_laid_out_as_odometry_root_and_depth_below_its_own_folder(server, tmp_path, monkeypatch):
+    server.files["data_odometry_poses.zip"] = loopback.zip_of({"dataset/poses/09.txt": b"1"})
+    server.files["data_odometry_calib.zip"] = loopback.zip_of({"dataset/sequences/09/calib.txt": b"P2: 1"})
+    images = {f"dataset/sequences/09/image_{camera}/000000.png": b"image" for camera in (2, 3)}
+    server.files["data_odometry_color.zip"] = loopback.zip_of(images)
+    depth = loopback.zip_of({f"val/{DRIVE}/proj_depth/groundtruth/image_02/0000000005.png": b"depth"})
+    server.files["data_depth_annotated.zip"] = depth
+    checked = sources.IMPROVED_DEPTH._replace(digest=f"md5:{hashlib.md5(depth).hexdigest()}")
+    monkeypatch.setattr(script, "IMPROVED_DEPTH", checked)
+    assert run(server, tmp_path, "--odometry", "--improved-depth", "--cameras", "image_02") == 0
+    assert [name for name in files(tmp_path) if "complete" not in name] == [
+        f"depth_annotated/val/{DRIVE}/proj_depth/groundtruth/image_02/0000000005.png",
+        "odometry/poses/09.txt",
+        "odometry/sequences/09/calib.txt",
+        "odometry/sequences/09/image_2/000000.png",
+    ]
+
+
+def test_a_wrong_checksum_ends_the_run(server, tmp_path, capsys):
+    server.files["data_depth_annotated.zip"] = loopback.zip_of({"val/x.png": b"other"})
+    assert "wrong checksum, md5 is" in fails(server, tmp_path, capsys, "--improved-depth")
+    assert files(tmp_path) == []
+
+
+def test_lists_only(server, lists, tmp_path):
+    assert run(server, tmp_path, "--lists-only") == 0
+    assert files(tmp_path) == [f"lists/{name}.txt" for name in sorted(sources.LISTS)]
+    server.requests.clear()
+    assert run(server, tmp_path, "--lists-only") == 0
+    assert server.requests == []
+
+
+@pytest.mark.parametrize("test_list", ["eigen_test", "sample_test", "own.txt"])
+def test_a_profile_fetches_its_drives_and_those_of_its_lists(server, lists, tmp_path, monkeypatch, test_list):
+    monkeypatch.chdir(tmp_path)
+    Path("own.txt").write_bytes(EIGEN)
+    drives = f"train_drives: [{DAY}/{DRIVE}], test_list: {test_list}"
+    Path("mine.yaml").write_text(f"about: a test\ndata: {{source: kitti, {drives}}}\n")
+    run(server, tmp_path / "kitti", "--profile", "mine.yaml", "--cameras", "image_02")
+    assert sorted(path.parent.name[-9:-5] for path in (tmp_path / "kitti").rglob(".complete.json")) == ["0013", "0052", "0095"]
+
+
+def test_a_train_list_stands_for_its_two_halves(server, lists, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("mine.yaml").write_text("about: a test\ndata: {source: kitti, train_list: eigen_zhou}\n")
+    run(server, tmp_path / "kitti", "--profile", "mine.yaml")
+    assert len(list((tmp_path / "kitti").rglob(".complete.json"))) == 3
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["2011_09_26_drive_95"], "drive '2011_09_26_drive_95': expected a name like"),
+        (["--profile", "nothing"], "profile 'nothing' not found"),
+        (["--lists-only"], "eigen/test_files.txt: not there (HTTP 404)"),
+    ],
+)
+def test_mistakes_end_in_one_line(server, tmp_path, capsys, arguments, expected):
+    assert expected in fails(server, tmp_path, capsys, *arguments)
+    assert files(tmp_path) == []
+
+
+def test_a_profile_that_makes_its_own_data_needs_no_download(server, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("toy.yaml").write_text("about: a test\nworld: {}\ndata: {source: miniature}\n")
+    assert "profile toy makes its own data" in fails(server, tmp_path / "kitti", capsys, "--profile", "toy.yaml")
+
+
+def test_a_root_that_cannot_be_a_folder_is_told(server, tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    assert "is not a folder that can be written" in fails(server, tmp_path / "file" / "kitti", capsys, DRIVE)
+
+
+def test_nothing_to_download_shows_the_usage(server, tmp_path, capsys):
+    with pytest.raises(SystemExit) as exit_info:
+        run(server, tmp_path)
+    assert exit_info.value.code == 2
+    assert "name drives, or give --profile" in capsys.readouterr().err
+
+
+def test_help_shows_examples(capsys):
+    with pytest.raises(SystemExit) as exit_info:
+        script.main(["--help"])
+    assert exit_info.value.code == 0
+    assert "--profile sample" in capsys.readouterr().out

@@ -1,0 +1,144 @@
+"""Exporting ground truth from the shell: real frames, and one line for every mistake with nothing half-written."""
+
+import importlib.util
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from dualdepth.data.depth_maps import load_ground_truth
+from dualdepth.data.kitti import read_frame_list
+from dualdepth.data.lidar import ground_truth
+
+REPOSITORY = Path(__file__).parents[2]
+SCRIPT = REPOSITORY / "data_scripts" / "export_depth.py"
+REAL = REPOSITORY.parent / "shared" / "data"
+DRIVE = "2011_09_26/2011_09_26_drive_0001_sync"
+
+spec = importlib.util.spec_from_file_location("export_depth", SCRIPT)
+export_depth = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(export_depth)
+
+
+@pytest.fixture
+def kitti(tmp_path, monkeypatch):
+    """A root with frames 0 to 3 of one drive, scans without images, and a list of them in the working directory."""
+    monkeypatch.chdir(tmp_path)
+    root = tmp_path / "kitti"
+    scans = root / DRIVE / "velodyne_points" / "data"
+    scans.mkdir(parents=True)
+    rng = np.random.default_rng(0)
+    for index in range(4):
+        (rng.uniform(-1, 1, (500, 4)) * [40, 20, 8, 1]).astype("<f4").tofile(scans / f"{index:010d}.bin")
+    day = root / "2011_09_26"
+    (day / "calib_velo_to_cam.txt").write_text("R: 0 -1 0 0 0 -1 1 0 0\nT: 0 0 -0.27\n")
+    (day / "calib_cam_to_cam.txt").write_text("S_rect_02: 80 40\nR_rect_00: 1 0 0 0 1 0 0 0 1\nP_rect_02: 40 0 40 0 0 40 20 0 0 0 1 0\n")
+    write_list(range(4))
+    return root
+
+
+def write_list(indices):
+    Path("list.txt").write_text("".join(f"{DRIVE} {index:010d} l\n" for index in indices))
+
+
+def run(*arguments):
+    return export_depth.main(["--kitti", "kitti", "--list", "list.txt", "--out", "out/G.npz", *arguments])
+
+
+def fails(capsys, *arguments):
+    with pytest.raises(SystemExit) as stop:
+        run(*arguments)
+    captured = capsys.readouterr()
+    assert stop.value.code == 2
+    assert len(captured.err.splitlines()) == 1 and captured.err.startswith("error: ")
+    assert not Path("out").exists() or not list(Path("out").iterdir())
+    return captured.err
+
+
+@pytest.mark.parametrize("camera_z", [False, True])
+def test_writes_the_ground_truth_of_the_list_in_its_order(kitti, camera_z):
+    write_list([2, 0, 3])
+    assert run(*["--camera-z"] * camera_z) == 0
+    maps = load_ground_truth("out/G.npz")
+    assert maps.names == ["000000", "000001", "000002"]
+    for depth, frame in zip(maps, read_frame_list("list.txt")):
+        expected = ground_truth("kitti", frame, camera_z=camera_z)
+        assert expected.any() and depth.dtype == np.float32
+        np.testing.assert_array_equal(depth, expected)
+
+
+def test_all_missing_files_are_in_one_message(kitti, capsys):
+    write_list([0, 7, 1, 8])
+    message = fails(capsys)
+    assert "2 of 4 files are missing" in message and "--allow-missing" in message
+    assert all(f"{DRIVE}/velodyne_points/data/{index:010d}.bin" in message for index in (7, 8))
+
+
+def test_allowed_missing_frames_are_left_out_and_named_and_keys_keep_the_place(kitti, capsys):
+    write_list([0, 7, 1, 8])
+    assert run("--allow-missing") == 0
+    printed = capsys.readouterr().out
+    assert "0000000007.bin" in printed and "0000000008.bin" in printed and "2 depth maps" in printed
+    assert load_ground_truth("out/G.npz").names == ["000000", "000002"]
+    write_list([7, 8])
+    assert "2 of 2" in fails_fresh(capsys)
+
+
+def fails_fresh(capsys):
+    Path("out/G.npz").unlink()
+    return fails(capsys, "--allow-missing")
+
+
+def test_a_broken_scan_in_the_middle_leaves_nothing(kitti, capsys):
+    path = kitti / DRIVE / "velodyne_points" / "data" / "0000000002.bin"
+    path.write_bytes(path.read_bytes()[:-5])
+    message = fails(capsys)
+    assert "0000000002.bin" in message and "16 bytes a point" in message
+
+
+def test_missing_or_incomplete_calibration_is_named(kitti, capsys):
+    (kitti / "2011_09_26" / "calib_velo_to_cam.txt").unlink()
+    assert "calib_velo_to_cam.txt: missing" in fails(capsys)
+    (kitti / "2011_09_26" / "calib_cam_to_cam.txt").write_text("S_rect_02: 80 40\nR_rect_00: 1 0 0 0 1 0 0 0 1\n")
+    (kitti / "2011_09_26" / "calib_velo_to_cam.txt").write_text("R: 0 -1 0 0 0 -1 1 0 0\nT: 0 0 -0.27\n")
+    assert "has no P_rect_02" in fails(capsys)
+
+
+def test_a_malformed_line_and_a_wrong_root_are_named(kitti, capsys):
+    Path("list.txt").write_text(f"{DRIVE} 0000000000 l\n{DRIVE} zero l\n")
+    assert "list.txt, line 2" in fails(capsys)
+    write_list([0])
+    assert "holds no 2011_" in fails(capsys, "--kitti", str(kitti / DRIVE))
+    assert "list-that-is-not.txt" in fails(capsys, "--list", "list-that-is-not.txt")
+
+
+def test_an_output_that_cannot_be_written_is_named(kitti, capsys):
+    assert "list.txt/G.npz: cannot write" in fails(capsys, "--out", "list.txt/G.npz")
+
+
+def test_improved_maps_are_exported_without_the_raw_data(kitti, capsys):
+    folder = Path("annotated/val/2011_09_26_drive_0001_sync/proj_depth/groundtruth/image_02")
+    folder.mkdir(parents=True)
+    for index in (0, 1):
+        cv2.imwrite(str(folder / f"{index:010d}.png"), np.full((4, 6), 256 * (index + 2), np.uint16))
+    write_list([0, 1])
+    assert export_depth.main(["--improved", "annotated", "--list", "list.txt", "--out", "out/G.npz"]) == 0
+    assert [depth[0, 0] for depth in load_ground_truth("out/G.npz")] == [2, 3]
+    Path("out/G.npz").unlink()
+    write_list([0, 5])
+    assert "drive_0001_sync/image_02/0000000005" in fails(capsys, "--improved", "annotated")
+
+
+def test_real_frames_from_the_shell(tmp_path):
+    if not REAL.is_dir():
+        pytest.skip("no real KITTI frames beside the repository (../shared/data)")
+    out, frames = tmp_path / "G.npz", REAL / "splits" / "sample_val.txt"
+    command = [sys.executable, SCRIPT, "--kitti", REAL / "kitti_raw", "--list", frames, "--out", out]
+    done = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    maps = load_ground_truth(out)
+    assert len(maps) == 28
+    assert all(depth.shape == (375, 1242) and 15_000 < np.count_nonzero(depth) < 25_000 for depth in maps)

@@ -1,0 +1,68 @@
+"""Parameters, multiply-accumulates, time and memory of small networks known by hand."""
+
+import pytest
+import torch
+from torch import nn
+
+from dualdepth.evaluation.cost import count, latency
+
+
+def test_one_convolution_is_55296_macs():
+    conv = nn.Conv2d(3, 8, 3, padding=1, bias=False)
+    assert count(conv, torch.zeros(1, 3, 16, 16)) == (216, 55_296)
+
+
+def test_strides_groups_linear_layers_and_products_count_by_hand():
+    class Net(nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.strided = nn.Conv2d(4, 6, 5, stride=2, padding=2)
+            self.depthwise = nn.Conv2d(6, 6, 3, padding=1, groups=6, bias=False)
+            self.norm = nn.BatchNorm2d(6)
+            self.head = nn.Linear(6, 7)
+
+        def forward(self, image):
+            f = self.norm(self.depthwise(self.strided(image))).flatten(2)  # (1, 6, 16)
+            return self.head((f @ (f.transpose(1, 2) @ f)).mean(-1))
+
+    macs = 6 * 4 * 25 * 16 + 6 * 9 * 16 + 2 * 6 * 16 * 16 + 6 * 7
+    params = 6 * 4 * 25 + 6 + 6 * 9 + 12 + 49
+    assert count(Net(), torch.zeros(1, 4, 8, 8)) == (params, macs)
+
+
+def test_counting_leaves_the_model_as_it_was_and_needs_no_memory_for_the_input():
+    net = nn.Sequential(nn.Conv2d(3, 4, 3), nn.BatchNorm2d(4), nn.Dropout()).train()
+    net[1].eval()
+    before = {name: value.clone() for name, value in net.state_dict().items()}
+    count(net, torch.empty(1, 3, 100_000, 100_000, device="meta"))
+    assert net.training and net[2].training and not net[1].training
+    assert all(torch.equal(value, before[name]) for name, value in net.state_dict().items())
+
+
+def test_shared_parameters_count_once_and_frozen_ones_too():
+    layer = nn.Linear(5, 5, bias=False).requires_grad_(False)
+    assert count(nn.Sequential(layer, layer), torch.zeros(1, 5)) == (25, 50)
+
+
+def test_a_model_that_reads_values_is_counted_where_it_is():
+    class Reads(nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.layer = nn.Linear(3, 2, bias=False)
+
+        def forward(self, x):
+            return self.layer(x) * x.sum().item()
+
+    assert count(Reads(), torch.zeros(4, 3)) == (6, 24)
+
+
+@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU"))])
+def test_latency_reports_time_and_the_memory_of_weights_input_and_activations(device):
+    net = nn.Sequential(nn.ReLU(), nn.ReLU(), nn.ReLU(), nn.Flatten(), nn.Linear(4_000, 10)).to(device).train()
+    image = torch.zeros(50, 4, 1_000, device=device)
+    measured = latency(net, image, repeats=3, warmup=1)
+    held = 4 * (40_000 + 10 + 200_000)
+    # the second ReLU has its input and its output beside the image
+    assert measured.peak_mb == pytest.approx((held + 2 * 4 * 200_000) / 1e6, rel=0.02)
+    assert 0 < measured.median_ms < 1000
+    assert net.training and (measured.device == "cpu") == (device == "cpu")

@@ -1,0 +1,166 @@
+"""`dualdepth evaluate depth` from outside: numbers, JSON, speed of --help, and one line for every mistake."""
+
+import io
+import json
+import pickle
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dualdepth.cli import main
+from dualdepth.data.depth_maps import save_ground_truth
+from dualdepth.evaluation.depth import METRICS, evaluate, summary
+
+
+@pytest.fixture
+def files(tmp_path, monkeypatch):
+    """P.npy and G.npz with three images of two sizes in the working directory."""
+    monkeypatch.chdir(tmp_path)
+    rng = np.random.default_rng(0)
+    maps = [np.where(rng.random(s) < 0.3, rng.uniform(1, 90, s), 0).astype(np.float32) for s in ((40, 60), (40, 60), (38, 64))]
+    predictions = rng.uniform(0.02, 2, (3, 10, 16)).astype(np.float32)
+    np.save("P.npy", predictions)
+    save_ground_truth("G.npz", maps)
+    return predictions, maps
+
+
+def run(*arguments):
+    return main(["evaluate", "depth", "--pred", "P.npy", "--gt", "G.npz", *arguments])
+
+
+def fails(capsys, *arguments):
+    """The one line on stderr of a call that must end with exit code 2 and print nothing else."""
+    with pytest.raises(SystemExit) as stop:
+        main(["evaluate", "depth", *arguments])
+    captured = capsys.readouterr()
+    assert stop.value.code == 2 and captured.out == ""
+    assert len(captured.err.splitlines()) == 1 and captured.err.startswith("error: ")
+    return captured.err
+
+
+def test_json_is_flat_and_equals_the_library(files, capsys):
+    assert run("--json", "-") == 0
+    values = json.loads(capsys.readouterr().out)
+    assert values == summary(evaluate(*files))
+    assert {*METRICS, "n"} <= set(values) and values["n"] == 3
+    assert all(isinstance(v, int | float) for v in values.values())
+
+
+@pytest.mark.parametrize(
+    "arguments, settings",
+    [
+        (["--kind", "disparity", "--resize", "disparity"], {"kind": "disparity", "resize": "disparity"}),
+        (["--kind", "disparity"], {"kind": "disparity", "resize": "depth"}),
+        (["--crop", "eigen"], {"crop": "eigen"}),
+        (["--crop", "none", "--valid", "positive"], {"crop": "none", "valid": "positive"}),
+        (["--min-depth", "5", "--max-depth", "50"], {"min_depth": 5, "max_depth": 50}),
+        (["--no-median-scaling"], {"median_scaling": False}),
+    ],
+)
+def test_every_option_reaches_the_protocol(files, capsys, arguments, settings):
+    run("--json", "-", *arguments)
+    values = json.loads(capsys.readouterr().out)
+    assert values == summary(evaluate(*files, **settings))
+    assert values != summary(evaluate(*files))
+
+
+def test_a_table_is_printed_and_the_json_file_written_beside_it(files, capsys):
+    run("--json", "out/result.json")
+    lines = dict(line.split() for line in capsys.readouterr().out.splitlines())
+    written = json.loads(Path("out/result.json").read_text())
+    assert float(lines["abs_rel"]) == pytest.approx(written["abs_rel"], abs=1e-4) and lines["n"] == "3"
+    assert [p.name for p in Path("out").iterdir()] == ["result.json"]
+
+
+def test_the_fields_pickled_ground_truth_needs_a_word(files, capsys):
+    values = np.empty(3, object)
+    values[:] = files[1]
+    np.savez_compressed("gt_depths.npz", data=values)
+    assert "--allow-pickle" in fails(capsys, "--pred", "P.npy", "--gt", "gt_depths.npz")
+    main(["evaluate", "depth", "--pred", "P.npy", "--gt", "gt_depths.npz", "--allow-pickle", "--json", "-"])
+    assert json.loads(capsys.readouterr().out) == summary(evaluate(*files))
+
+
+def test_the_wrong_number_of_predictions_names_both(files, capsys):
+    np.save("short.npy", files[0][:2])
+    assert "short.npy: holds 2 predictions but G.npz holds 3 ground truths" in fails(capsys, "--pred", "short.npy", "--gt", "G.npz")
+
+
+def bad_predictions():
+    good = np.ones((3, 10, 16), np.float32)
+    nan = good.copy()
+    nan[1, 0, 0] = np.nan
+    buffer = io.BytesIO()
+    np.save(buffer, good)
+    archive = io.BytesIO()
+    np.savez(archive, good)
+    return {
+        "absent": (None, "no such file"),
+        "empty": (b"", "truncated"),
+        "text": (b"not an array", "not a readable .npy file"),
+        "truncated": (buffer.getvalue()[:-100], "truncated"),
+        "pickle": (pickle.dumps([1, 2]), "not a readable .npy file"),
+        "objects": (np.array([{}, {}, {}], object), "not a readable .npy file"),
+        "archive": (archive.getvalue(), "an archive"),
+        "four_dimensions": (good[:, None], "shape (3, 1, 10, 16)"),
+        "integers": (good.astype(np.uint16), "uint16"),
+        "no_pixels": (good[:, :0], "shape (3, 0, 16)"),
+        "not_a_number": (nan, "image 1: the depth holds NaN"),
+        "zeros": (good * 0, "image 0: the depth goes down to 0"),
+    }
+
+
+@pytest.mark.parametrize("case", list(bad_predictions()))
+def test_bad_predictions_are_one_line_with_the_file(files, capsys, case):
+    content, says = bad_predictions()[case]
+    path = Path(f"{case}.npy")
+    if isinstance(content, bytes):
+        path.write_bytes(content)
+    elif content is not None:
+        np.save(path, content)
+    message = fails(capsys, "--pred", str(path), "--gt", "G.npz", "--json", "out.json")
+    assert path.name in message and says in message
+    assert not Path("out.json").exists()
+
+
+def test_bad_ground_truth_is_one_line_with_the_file(files, capsys):
+    Path("cut.npz").write_bytes(Path("G.npz").read_bytes()[:-20])
+    for name, says in {"cut.npz": "not a readable npz", "absent.npz": "no such file", "P.npy": "not an npz"}.items():
+        message = fails(capsys, "--pred", "P.npy", "--gt", name)
+        assert name in message and says in message
+
+
+@pytest.mark.parametrize(
+    "arguments, says",
+    [
+        (["--crop", "grag"], "--crop"),
+        (["--max-depth", "deep"], "--max-depth"),
+        (["--min-depth", "90"], "min_depth 90"),
+        (["--json", "G.npz/out.json"], "cannot write"),
+    ],
+)
+def test_bad_options_are_one_line(files, capsys, arguments, says):
+    assert says in fails(capsys, "--pred", "P.npy", "--gt", "G.npz", *arguments)
+
+
+def test_help_and_evaluation_start_without_torch(files):
+    script = (
+        "import sys, dualdepth.cli as cli\n"
+        "cli.main(['evaluate', 'depth', '--pred', 'P.npy', '--gt', 'G.npz'])\n"
+        "assert 'torch' not in sys.modules\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["evaluate", "depth", "--help"]])
+def test_help_is_quick(arguments):
+    start = time.perf_counter()
+    done = subprocess.run([sys.executable, "-m", "dualdepth.cli", *arguments], capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and "usage: dualdepth" in done.stdout
+    assert time.perf_counter() - start < 2

@@ -1,0 +1,126 @@
+"""The paper's numbers as data: every number of every table stands in its TeX, row by row."""
+
+import math
+import re
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from dualdepth import paper
+
+TEX = Path(__file__).parents[2] / "shared" / "paper.tex"
+MARKS = {
+    "main": "tab:KITTI",
+    "make3d": "tab:make3d",
+    "ablation": "tab:ablation_dual",
+    "distance": "tab:ablation_disntance",
+    "sharpness": "tab:sharpness",
+    "sa_region": "tab:sa_region",
+    "backbone": "tab:res1",
+    "odometry": "tab:pose1",
+}
+
+
+def tex():
+    if not TEX.is_file():
+        pytest.skip("the paper's source is not beside the repository (../shared/paper.tex)")
+    return TEX.read_text(encoding="utf-8")
+
+
+def tex_rows(name):
+    """The numbers of each row of a table, in the TeX's order; rows without one are left out."""
+    table = next(t for t in re.findall(r"\\begin\{table.*?\\end\{table", tex(), re.S) if f"{{{MARKS[name]}}}" in t)
+    body = table[table.index(r"\toprule") : table.index(r"\bottomrule")]
+    rows = []
+    for line in body.split(r"\\"):
+        # the cells that are nothing but numbers; a cell `mean ± deviation` holds two
+        line = re.sub(r"\\multicolumn\{2\}\{[^}]*\}|\\textbf|[{}]", " ", line).replace(r"$\pm$", "&")
+        cells = [cell.strip() for cell in line.split("&")]
+        numbers = [float(cell) for cell in cells if re.fullmatch(r"\d+(\.\d+)?", cell)]
+        if numbers:
+            rows.append(numbers)
+    return rows
+
+
+def numbers(name):
+    frame = paper.table(name)
+    return [[float(v) for v in row if isinstance(v, int | float) and not math.isnan(v)] for row in frame.itertuples(index=False)]
+
+
+@pytest.mark.parametrize("name", sorted(set(paper.TABLES) - {"sharpness", "sa_region"}))
+def test_every_row_has_the_numbers_of_the_paper(name):
+    assert numbers(name) == tex_rows(name)
+
+
+@pytest.mark.parametrize("name", ["sharpness", "sa_region"])
+def test_tables_with_a_column_for_each_method_are_turned(name):
+    assert [n for row in numbers(name) for n in row] == [n for row in tex_rows(name) for n in row]
+
+
+@pytest.mark.parametrize(
+    "name, count",
+    {"main": 15, "make3d": 9, "ablation": 3, "distance": 4, "sharpness": 2, "sa_region": 4, "backbone": 5, "odometry": 8}.items(),
+)
+def test_tables_are_whole_and_marked_as_the_papers(name, count):
+    frame = paper.table(name)
+    assert len(frame) == count and set(frame["source"]) == {"paper"}
+
+
+def test_main_table_has_the_columns_of_the_field():
+    assert list(paper.table("main")) == ["method", "dataset", "supervision", *paper.DEPTH, "source"]
+
+
+def test_rows_of_the_main_table_have_their_supervision():
+    text = tex()
+    for row in paper.table("main").itertuples():
+        cells = rf"& {re.escape(row.dataset)} +& +{re.escape(row.supervision)} +& (?:\\textbf{{)?{row.abs_rel:.3f}"
+        assert re.search(cells, text), row
+
+
+def test_rows_that_repeat_agree():
+    main, ablation = paper.table("main").iloc[-1], paper.table("ablation").iloc[-1]
+    backbone = paper.table("backbone").set_index("backbone")
+    assert list(main[list(paper.DEPTH)]) == list(ablation[list(paper.DEPTH)])
+    for row in ("Dual-network (ResNet50)", "w/ pt"):
+        assert all(backbone.loc[row, m] == main[m] for m in paper.DEPTH if m != "rmse_log")
+
+
+def test_the_oddities_that_a_table_shows_are_there():
+    backbone = paper.table("backbone").set_index("backbone")[["a1", "a2", "a3", "abs_rel"]]
+    assert (backbone.loc["ResNet18"] == backbone.loc["w/o pt"]).tolist() == [True, True, True, False]
+    main = paper.table("main")
+    assert main.loc[main["a2"] == main["a3"], "method"].tolist() == ["Eigen et al."]
+    ablation, distance = paper.table("ablation")["abs_rel"], paper.table("distance")["abs_rel"]
+
+    def far_share(overall, near, far):
+        return round((overall - near) / (far - near), 2)
+
+    assert far_share(ablation[0], distance[0], distance[1]) == 0.26
+    assert [far_share(ablation[k], distance[2], distance[3]) for k in (1, 2)] == [0.25, 0.22]
+
+
+def test_recipe_stands_in_the_text():
+    text = tex()
+    for words in (
+        "train the LR-Net for 40 epochs",
+        "another 40 epochs",
+        "mini-batch size of 4",
+        r"\beta_1=0.9,\beta_2=0.999",
+        r"0.0002 & & {epochs \leq 10}",
+        r"0.0001 & & {10<epochs\leq 20}",
+        "0.00005 & & {20<epochs}",
+        r"low-resolution ($128\times 416$)",
+        r"high-resolution ($384\times 1248$)",
+        r"$\frac{1}{1}, \frac{1}{2}, \frac{1}{4}, \frac{1}{8}$",
+        r"$\alpha$ is set to 0.85",
+    ):
+        assert words in text
+    assert paper.RECIPE["learning_rates"] == ((10, 0.0002), (20, 0.0001), (40, 0.00005))
+    assert [3 * side for side in paper.RECIPE["lr_size"]] == list(paper.RECIPE["hr_size"])
+
+
+def test_tables_are_fresh_copies():
+    frame = paper.table("main")
+    frame["abs_rel"] = 0
+    assert isinstance(frame, pd.DataFrame) and (paper.table("main")["abs_rel"] > 0).all()
