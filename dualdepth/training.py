@@ -11,7 +11,7 @@ import torch
 from accelerate import Accelerator
 from accelerate.utils import set_seed
 from torch import nn
-from tqdm.auto import tqdm
+from tqdm import tqdm
 
 from dualdepth.checkpoints import load_checkpoint, save_checkpoint, save_weights
 from dualdepth.config import Profile, Stage

@@ -18,7 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn, TypeVar
 
-from tqdm.auto import tqdm
+from tqdm import tqdm
 
 from dualdepth.atomic import write_text
 from dualdepth.errors import InputError

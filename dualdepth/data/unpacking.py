@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
-from tqdm.auto import tqdm
+from tqdm import tqdm
 
 from dualdepth.data.download import disk_error, require_space
 from dualdepth.errors import InputError

@@ -3,10 +3,13 @@
 import contextlib
 import statistics
 import time
+import weakref
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_leaves
 from torch.utils.flop_counter import FlopCounterMode
 
 
@@ -97,15 +100,38 @@ def _cuda_peak(model: torch.nn.Module, inputs: tuple[torch.Tensor, ...], device:
 
 
 def _cpu_peak(model: torch.nn.Module, inputs: tuple[torch.Tensor, ...]) -> int:
-    """The same on the CPU: the highest sum of the profiler's allocations and releases."""
-    with torch.autograd.profiler.profile(profile_memory=True, use_kineto=False) as profiler:
+    """The same on the CPU, from the lifetimes of the tensors; scratch memory inside an operation is not seen."""
+    with _Alive() as alive:
         model(*inputs)
-    events = sorted((event.start_ns(), event.nbytes()) for event in profiler.kineto_results.events() if event.name() == "[memory]")
-    alive = peak = 0
-    for _, size in events:
-        alive += size
-        peak = max(peak, alive)
-    return peak
+    return alive.peak
+
+
+class _Alive(TorchDispatchMode):
+    """Bytes of tensor storage that operations inside the block made and that are still referenced."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.bytes = self.peak = 0
+        self.seen: dict[int, weakref.ref] = {}
+
+    def __torch_dispatch__(self, func: Callable, types: Any, args: tuple = (), kwargs: dict | None = None) -> Any:
+        given = {value.untyped_storage()._cdata for value in tree_leaves((args, kwargs)) if isinstance(value, torch.Tensor)}
+        result = func(*args, **(kwargs or {}))
+        for value in tree_leaves(result):
+            if isinstance(value, torch.Tensor) and value.untyped_storage()._cdata not in given | self.seen.keys():
+                self._watch(value.untyped_storage())
+        return result
+
+    def _watch(self, storage: torch.UntypedStorage) -> None:
+        key, size = storage._cdata, storage.nbytes()
+
+        def released(_: weakref.ref) -> None:
+            self.bytes -= size
+            del self.seen[key]
+
+        self.seen[key] = weakref.ref(storage, released)
+        self.bytes += size
+        self.peak = max(self.peak, self.bytes)
 
 
 @contextlib.contextmanager

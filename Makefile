@@ -1,0 +1,57 @@
+# make reproduce [PROFILE=tiny] [KITTI_ROOT=dir] [TEST_LIST=file] [SEEDS=0,1,2] · make test · make help
+PROFILE ?= tiny
+PYTHON ?= python3.11
+VENV := .venv
+export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
+export PYTHONPATH := $(CURDIR)
+# tell libraries to stay off the network unless a profile asks for weights or lists
+export HF_HUB_DISABLE_TELEMETRY := 1
+STAMP := $(VENV)/.installed
+
+.DEFAULT_GOAL := help
+.PHONY: help env reproduce test lab lint lock bench publish notebooks clean
+
+help: ## what can be made
+	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 12
+
+env: $(STAMP) ## make .venv from environment.lock
+
+$(STAMP): environment.lock pyproject.toml
+	test -x $(VENV)/bin/python || $(PYTHON) -m venv $(VENV)
+	$(VENV)/bin/python -m pip install --quiet --requirement environment.lock
+	$(VENV)/bin/python -m pip install --quiet --no-deps --no-build-isolation --editable .
+	touch $@
+
+reproduce: env ## run every notebook of a profile: data, training, tables, figures
+	@dualdepth reproduce --profile "$(PROFILE)" --kitti-root "$(KITTI_ROOT)" --test-list "$(TEST_LIST)" --seeds "$(SEEDS)"
+
+test: env lint ## lint, unit tests, notebooks against their stored outputs
+	pytest
+	pytest --nbval $(NOTEBOOKS)
+
+NOTEBOOKS = $(sort $(wildcard notebooks/*.ipynb))
+
+lint: env ## ruff
+	ruff check .
+	ruff format --check .
+
+lab: env ## JupyterLab on this machine's own address
+	jupyter lab --ip 127.0.0.1 notebooks
+
+bench: env ## speed of loader, training step, inference
+	python -m dualdepth.bench
+
+lock: ## make environment.lock from pyproject.toml
+	rm -rf work/lock && $(PYTHON) -m venv work/lock
+	work/lock/bin/python -m pip install --quiet --upgrade 'setuptools>=77' '.[notebooks,dev]'
+	work/lock/bin/python -m pip freeze --all --exclude pip --exclude dualdepth | grep -viE '^(nvidia|triton|cuda)' | sed 's/+cpu$$//' > environment.lock
+	rm -rf work/lock
+
+notebooks: env ## store the executed tiny notebooks as the committed ones
+	python -m dualdepth.publish notebooks
+
+publish: env ## copy a profile's tables and figures to results/published
+	python -m dualdepth.publish results --profile "$(PROFILE)"
+
+clean: ## remove what runs made (not .venv)
+	rm -rf work results/tiny .pytest_cache .ruff_cache .snakemake

@@ -1,0 +1,21 @@
+"""`dualdepth train`: one training of a profile, by hand or under `torchrun` and SLURM."""
+
+import argparse
+
+
+def add_train(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add the subcommand `train`."""
+    parser = commands.add_parser("train", help="train one variant of a profile, or go on with it")
+    parser.add_argument("--profile", default="tiny", help="tiny, miniature, sample, paper, or a YAML file (default: %(default)s)")
+    parser.add_argument("--variant", default="lr", help="which network (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="of initialisation, order and augmentation (default: %(default)s)")
+    parser.set_defaults(run=train)
+
+
+def train(arguments: argparse.Namespace) -> int:
+    """Train and say where the weights are."""
+    from dualdepth.results import Run
+    from dualdepth.variants import train_variant
+
+    print(train_variant(Run(arguments.profile), arguments.variant, arguments.seed))
+    return 0
