@@ -45,7 +45,7 @@ lock: ## make environment.lock from pyproject.toml
 	rm -rf work/lock && $(PYTHON) -m venv work/lock
 	work/lock/bin/python -m pip install --quiet --upgrade 'setuptools>=77' '.[notebooks,dev]'
 	work/lock/bin/python -m pip freeze --all --exclude pip --exclude dualdepth | grep -viE '^(nvidia|triton|cuda)' | sed 's/+cpu$$//' > environment.lock
-	rm -rf work/lock
+	rm -rf work/lock build
 
 notebooks: env ## store the executed tiny notebooks as the committed ones
 	python -m dualdepth.publish notebooks

@@ -30,7 +30,7 @@ rule quickstart:
         notebook=notebook("00_quickstart"),
         code=code_digest("train", "world"),
     shell:
-        "dualdepth notebook 00_quickstart --out {output} profile={PROFILE}"
+        "dualdepth notebook 00_quickstart --out {output} --set profile={PROFILE}"
 
 
 rule download_data:
@@ -44,7 +44,7 @@ rule download_data:
         kitti_root=config.get("kitti_root", ""),
         test_list=config.get("test_list", ""),
     shell:
-        "dualdepth notebook 01_download_data --out {output.notebook} profile={PROFILE}"
+        "dualdepth notebook 01_download_data --out {output.notebook} --set profile={PROFILE}"
         " kitti_root={params.kitti_root:q} test_list={params.test_list:q}"
 
 
@@ -61,7 +61,7 @@ rule prepare_data:
         settings=run_.profile.digest("data"),
         code=code_digest("prepare"),
     shell:
-        "dualdepth notebook 02_prepare_data --out {output.notebook} profile={PROFILE}"
+        "dualdepth notebook 02_prepare_data --out {output.notebook} --set profile={PROFILE}"
 
 
 rule train_lr:
@@ -76,7 +76,7 @@ rule train_lr:
         code=code_digest("train"),
     threads: ONE_AT_A_TIME
     shell:
-        "dualdepth notebook 03_train_lr --out {output.notebook} profile={PROFILE} seed={wildcards.seed}"
+        "dualdepth notebook 03_train_lr --out {output.notebook} --set profile={PROFILE} seed={wildcards.seed}"
 
 
 rule table_main:
@@ -94,4 +94,4 @@ rule table_main:
         code=code_digest("evaluate"),
     threads: ONE_AT_A_TIME
     shell:
-        "dualdepth notebook 05_table_main --out {output.notebook} profile={PROFILE} seeds={params.seeds}"
+        "dualdepth notebook 05_table_main --out {output.notebook} --set profile={PROFILE} seeds={params.seeds}"

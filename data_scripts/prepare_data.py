@@ -36,7 +36,8 @@ def find_data(run: Run, kitti_root: str = "", test_list: str = "") -> Sources:
     if run.profile.world:
         if kitti_root or test_list:
             raise InputError(f"profile {run.profile.name} makes its own data: KITTI_ROOT and TEST_LIST belong to sample, paper or your own")
-        root = make_miniature.make(run.profile.name, run.work / "miniature")
+        root = run.work / "miniature"
+        make_miniature.make_world(run.profile.world, root)
         sources = world_sources(root)
     else:
         sources = kitti_sources(run, kitti_root, test_list)
@@ -82,7 +83,7 @@ def kitti_sources(run: Run, kitti_root: str, test_list: str) -> Sources:
 
 
 def prepare(run: Run) -> Prepared:
-    """Write `work/<profile>/prepared`: triplets.csv, test_frames.json, ground_truth.npz and, where training frames have scans, baseline_truth.npz.
+    """Write `work/<profile>/prepared`: triplets.csv, test_frames.json, ground_truth.npz, and baseline_truth.npz where training frames have scans.
 
     Raises:
         InputError: files are missing (all in one message), or a drive is both trained on and scored.
@@ -113,7 +114,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description="Find or make a profile's data and prepare them.")
     parser.add_argument("--profile", default="tiny", help="tiny, miniature, sample, paper, or a YAML file (default: %(default)s)")
     parser.add_argument(
-        "--kitti-root", default="", metavar="DIR", help="folder that holds 2011_09_26 and the other days; else it is downloaded"
+        "--kitti-root", default="", metavar="DIR", help="folder that holds 2011_09_26 and the other days; else downloaded"
     )
     parser.add_argument("--test-list", default="", metavar="FILE", help="frames to score instead of the profile's, in the field's format")
     arguments = parser.parse_args(argv)

@@ -28,26 +28,49 @@ class Settings(BaseModel):
 class World(Settings):
     """The embedded synthetic street world (`data_scripts/make_miniature.py`)."""
 
-    train_seed: int = 1
+    train_seed: int = Field(1, ge=0)
     """Seed of the training streets."""
-    test_seed: int = 1001
+    test_seed: int = Field(1001, ge=0)
     """Seed of the streets that are scored; never used to choose anything in `miniature`."""
     size: Size = (208, 656)
-    """Size of the raw frames."""
-    supersample: int = 3
+    """Size of the raw and odometry frames; KITTI's shape at about half its width."""
+    supersample: int = Field(3, ge=1)
     """Rays per pixel side: the anti-aliasing that lets a full-resolution image hold more than its small copy."""
-    train_drives: int = 3
-    frames_per_drive: int = 40
-    test_drives: int = 2
-    test_frames: int = 8
-    """Scored frames a test drive."""
-    static_frames: int = 6
+    train_drives: int = Field(3, ge=1)
+    frames_per_drive: int = Field(40, ge=3)
+    """Frames of a training drive, consecutive."""
+    frame_spacing: float = Field(1.05, gt=0)
+    """Mean metres between raw frames, as KITTI at 40 km/h."""
+    static_frames: int = Field(6, ge=0)
     """Length of the stretch in the first training drive where the camera stands still."""
-    odometry_train: int = 1
-    odometry_test: int = 2
-    odometry_frames: int = 30
+    laser_train_frames: int = Field(5, ge=0)
+    """Frames with a laser scan in each training drive, evenly spread; baselines are fitted on them."""
+    azimuth_step: float = Field(0.35, gt=0)
+    """Degrees between the laser's firings; KITTI's 0.17 at half the width."""
+    test_drives: int = Field(2, ge=1)
+    test_frames: int = Field(8, ge=1)
+    """Scored frames a test drive; only they are rendered."""
+    test_step: int = Field(5, ge=1)
+    """Frames between scored frames, as far apart as in the field's list."""
+    odometry_train: int = Field(1, ge=0, le=9)
+    """Training sequences 00, 01, ..."""
+    odometry_test: int = Field(2, ge=0, le=2)
+    """Test sequences 09 and 10."""
+    odometry_frames: int = Field(30, ge=3)
     """Frames a training sequence; test sequences go on until their path is longer than 250 m."""
-    make3d_images: int = 3
+    odometry_spacing: float = Field(2.5, gt=0)
+    """Mean metres between odometry frames: a fast car, so that 250 m need few frames."""
+    make3d_images: int = Field(3, ge=0)
+    make3d_size: Size = (568, 426)
+    """Size of the photos, a quarter of Make3D's 2272x1704."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "World":
+        if self.train_seed == self.test_seed:
+            raise ValueError(f"train_seed and test_seed are both {self.train_seed}: the scored streets would be the training streets")
+        if self.static_frames > self.frames_per_drive:
+            raise ValueError(f"static_frames {self.static_frames} is more than frames_per_drive {self.frames_per_drive}")
+        return self
 
 
 class Data(Settings):

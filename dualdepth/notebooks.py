@@ -13,6 +13,12 @@ from dualdepth.errors import InputError
 from dualdepth.results import project_root
 
 
+NOT_SHOWN = ("Executing", "Ending", "Input", "Output", "Working directory", "<", "\n")
+"""What papermill says of its own, and the text form of pictures and tables, which nobody reads in a terminal."""
+KERNEL_LOG = "--IPKernelApp.log_level=50"
+"""The kernel's own log says nothing about the notebook."""
+
+
 def run_notebook(name: str, out: str | Path, parameters: dict[str, Any]) -> Path:
     """Execute `notebooks/<name>.ipynb` and write the executed copy to `out`.
 
@@ -41,7 +47,15 @@ def run_notebook(name: str, out: str | Path, parameters: dict[str, Any]) -> Path
     failed = out.with_suffix(".failed.ipynb")
     with atomic_path(out) as partial, _StreamsShown():
         try:
-            papermill.execute_notebook(str(source), str(partial), parameters, cwd=str(root), progress_bar=False, log_output=True)
+            papermill.execute_notebook(
+                str(source),
+                str(partial),
+                parameters,
+                cwd=str(root),
+                progress_bar=False,
+                log_output=True,
+                extra_arguments=[KERNEL_LOG],
+            )
         except PapermillExecutionError as error:
             shutil.copyfile(partial, failed)
             if error.ename == "InputError":
@@ -63,9 +77,7 @@ class _StreamsShown:
         self.before = self.logger.level, self.logger.propagate
         self.handler = logging.StreamHandler(sys.stderr)
         self.handler.terminator = ""
-        self.handler.addFilter(
-            lambda record: record.name == "papermill" and not record.msg.startswith(("Executing", "Ending", "Input", "Output"))
-        )
+        self.handler.addFilter(lambda record: record.name == "papermill" and not record.getMessage().startswith(NOT_SHOWN))
         self.logger.addHandler(self.handler)
         self.logger.setLevel(logging.INFO)
         self.logger.propagate = False

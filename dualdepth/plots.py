@@ -1,5 +1,6 @@
 """Pictures: depth in a perceptual colour map with a scale in metres, errors beside it."""
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,6 +16,15 @@ DEPTH_MAP = "magma_r"
 """Near is bright, far is dark; logarithmic in depth, so that near and far both show."""
 NEAR, FAR = 3.0, 80.0
 """Metres at the ends of the colour scale."""
+
+
+class Picture(Figure):
+    """A figure that shows itself in a notebook, without pyplot's global state."""
+
+    def _repr_png_(self) -> bytes:
+        buffer = io.BytesIO()
+        self.savefig(buffer, dpi=80)
+        return buffer.getvalue()
 
 
 def save(figure: Figure, path: str | Path, dpi: int = 100) -> Path:
@@ -67,7 +77,7 @@ def thicken(sparse: np.ndarray, pixels: int = 5) -> np.ndarray:
 
 def depth_comparison(
     images: Sequence[np.ndarray], truths: Sequence[np.ndarray], predictions: Sequence[np.ndarray], titles: Sequence[str]
-) -> Figure:
+) -> Picture:
     """Rows of image, laser depth, predicted depth, relative error.
 
     Args:
@@ -76,7 +86,7 @@ def depth_comparison(
         predictions: (H, W) metres, already scaled to the truth.
         titles: one per row.
     """
-    figure = Figure(figsize=(13, 1.35 * len(images) + 0.2), layout="constrained")
+    figure = Picture(figsize=(13, 1.35 * len(images) + 0.2), layout="constrained")
     axes = figure.subplots(len(images), 4, squeeze=False)
     for row, image, truth, prediction, title in zip(axes, images, truths, predictions, titles):
         error = np.where(truth > 0, np.abs(prediction - truth) / np.maximum(truth, 1e-3), 0)
@@ -88,9 +98,53 @@ def depth_comparison(
     return figure
 
 
-def training_panel(target: np.ndarray, synthesized: np.ndarray, disparity: np.ndarray, error: np.ndarray) -> Figure:
+def image_grid(images: Sequence[np.ndarray], titles: Sequence[str], columns: int = 3) -> Picture:
+    """Images (H, W, 3) in rows of `columns`."""
+    rows = -(-len(images) // columns)
+    figure = Picture(figsize=(13, 1.6 * rows), layout="constrained")
+    cells = figure.subplots(rows, columns, squeeze=False).flat
+    for axes in cells:
+        axes.set_axis_off()
+    for axes, image, title in zip(figure.axes, images, titles):
+        show_image(axes, image, title)
+    return figure
+
+
+def depth_pair(image: np.ndarray, depth: np.ndarray, image_title: str, depth_title: str) -> Picture:
+    """An image (H, W, 3) and its depth map (H, W) in metres side by side."""
+    figure = Picture(figsize=(13, 2.2), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    show_image(left, image, image_title)
+    show_depth(right, depth, depth_title)
+    return figure
+
+
+def truth_overlay(images: Sequence[np.ndarray], truths: Sequence[np.ndarray], titles: Sequence[str]) -> Picture:
+    """Rows of image and its laser depth (H, W), metres."""
+    figure = Picture(figsize=(13, 2.1 * len(images)), layout="constrained")
+    for (left, right), image, truth, title in zip(figure.subplots(len(images), 2, squeeze=False), images, truths, titles):
+        show_image(left, image, title)
+        show_depth(right, thicken(truth), "laser depth")
+    return figure
+
+
+def image_spread(scores: dict[str, pd.DataFrame]) -> Picture:
+    """Histograms over images: Abs Rel, and the median-scaling ratio by its median; one colour per method."""
+    figure = Picture(figsize=(10, 2.6), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    for name, frame in scores.items():
+        left.hist(frame["abs_rel"], bins=30, alpha=0.6, label=name)
+        right.hist(frame["scale_ratio"] / frame["scale_ratio"].median(), bins=30, alpha=0.6, label=name)
+    left.set_title("Abs Rel of an image", fontsize=9, loc="left")
+    right.set_title("median-scaling ratio / its median", fontsize=9, loc="left")
+    left.set_ylabel("images")
+    left.legend(fontsize=7)
+    return figure
+
+
+def training_panel(target: np.ndarray, synthesized: np.ndarray, disparity: np.ndarray, error: np.ndarray) -> Picture:
     """One sample of a batch: target, warped source (3, H, W), relative depth and photometric error (H, W)."""
-    figure = Figure(figsize=(10, 3.4), layout="constrained")
+    figure = Picture(figsize=(10, 3.4), layout="constrained")
     (top_left, top_right), (bottom_left, bottom_right) = figure.subplots(2, 2)
     show_image(top_left, target.transpose(1, 2, 0).clip(0, 1), "target")
     show_image(top_right, synthesized.transpose(1, 2, 0).clip(0, 1), "source, warped to the target")
@@ -103,14 +157,14 @@ def training_panel(target: np.ndarray, synthesized: np.ndarray, disparity: np.nd
     return figure
 
 
-def learning_curve(logs: dict[str, pd.DataFrame]) -> Figure:
+def learning_curve(logs: dict[str, pd.DataFrame]) -> Picture:
     """Loss components, step sizes and spreads over the steps; one line per run."""
     panels = {
         "photometric": "photometric loss",
         "translation": "pose: translation (depth units)",
         "disparity_spread": "disparity: spread / mean",
     }
-    figure = Figure(figsize=(12, 2.8), layout="constrained")
+    figure = Picture(figsize=(12, 2.8), layout="constrained")
     for axes, (column, title) in zip(figure.subplots(1, len(panels)), panels.items()):
         for name, log in logs.items():
             axes.plot(log["step"], log[column], lw=0.5, alpha=0.4)

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pandas as pd
 import torch
@@ -62,6 +63,16 @@ def score_training(run: Run, variant: str, seed: int, device: str = "cpu") -> pd
     write_text(folder / "per_image.csv", scores.to_csv())
     write_json(folder / "per_image.json", made_from)
     return scores
+
+
+def scaled_depth(run: Run, variant: str, seed: int, image: int) -> np.ndarray:
+    """Predicted depth (H, W) of a scored image in metres, at the ground truth's size, median-scaled as it is scored."""
+    settings, depth = run.profile.evaluation, truth(run)[image]
+    folder = run.training(variant, seed)
+    prediction = 1.0 / np.load(folder / "disparities.npy", mmap_mode="r")[image]
+    scores = pd.read_csv(folder / "per_image.csv", index_col="image")
+    enlarged = cv2.resize(prediction, depth.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    return np.clip(enlarged * scores.loc[image, "scale_ratio"], settings.min_depth, settings.max_depth)
 
 
 def score_untrained(run: Run, seed: int) -> pd.DataFrame:

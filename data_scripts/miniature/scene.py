@@ -8,14 +8,28 @@ import numpy as np
 from data_scripts.miniature import solids
 from data_scripts.miniature.shadows import SUN, Shadows, cast_shadows
 from data_scripts.miniature.solids import Place, Prism, Quadric
-from data_scripts.miniature.street import Street, build_street
+from data_scripts.miniature.street import Plan, Street, build_street
 
-AHEAD = 190.0
-"""A street goes on this far after its last camera."""
 LANE = 1.9
 """The middle of the right-hand lane, metres right of the centre line."""
-PAINTS = [(0.75, 0.76, 0.78), (0.1, 0.1, 0.11), (0.45, 0.05, 0.05), (0.1, 0.16, 0.36), (0.85, 0.85, 0.83), (0.3, 0.32, 0.33), (0.2, 0.3, 0.22)]
-WALLS = [(0.78, 0.7, 0.55), (0.82, 0.8, 0.76), (0.55, 0.28, 0.2), (0.6, 0.58, 0.55), (0.75, 0.55, 0.38), (0.66, 0.7, 0.62), (0.5, 0.42, 0.36)]
+PAINTS = [
+    (0.75, 0.76, 0.78),
+    (0.1, 0.1, 0.11),
+    (0.45, 0.05, 0.05),
+    (0.1, 0.16, 0.36),
+    (0.85, 0.85, 0.83),
+    (0.3, 0.32, 0.33),
+    (0.2, 0.3, 0.22),
+]
+WALLS = [
+    (0.78, 0.7, 0.55),
+    (0.82, 0.8, 0.76),
+    (0.55, 0.28, 0.2),
+    (0.6, 0.58, 0.55),
+    (0.75, 0.55, 0.38),
+    (0.66, 0.7, 0.62),
+    (0.5, 0.42, 0.36),
+]
 ROOFS = [(0.42, 0.2, 0.15), (0.28, 0.25, 0.25), (0.36, 0.26, 0.2)]
 LEAVES = [(0.2, 0.33, 0.1), (0.27, 0.36, 0.12), (0.16, 0.28, 0.12), (0.34, 0.38, 0.14)]
 
@@ -56,18 +70,10 @@ class Scene:
         return shapes
 
 
-def build_scene(seed: tuple[int, ...], length: float, bend: float = 0.25, wavelength: float = 260.0, movers: int = 2) -> Scene:
-    """Build the street of a drive.
-
-    Args:
-        seed: any integers; the same ones give the same street.
-        length: how far along the road the camera goes, metres.
-        bend: largest heading of the road away from straight ahead, radians.
-        wavelength: length of a full left-right bend, metres.
-        movers: number of moving cars; every second one comes towards the camera.
-    """
-    rng = np.random.default_rng(seed)
-    scene = Scene(build_street(rng, length + AHEAD, bend, wavelength), rng.uniform())
+def build_scene(plan: Plan) -> Scene:
+    """Build the street of a plan with everything on it."""
+    rng = np.random.default_rng((*plan.seed, 1))
+    scene = Scene(build_street(plan), rng.uniform())
     density = rng.choice([0.35, 0.65, 0.9])
     for side in (-1, 1):
         _houses(scene, rng, side, density)
@@ -77,7 +83,7 @@ def build_scene(seed: tuple[int, ...], length: float, bend: float = 0.25, wavele
         _parked(scene, rng, side, density)
     _hills(scene, rng)
     scene.shadows = cast_shadows(scene.street, [*scene.prisms, *scene.quadrics])
-    scene.movers = [_mover(rng, k, length) for k in range(movers)]
+    scene.movers = [_mover(rng, k, plan.length) for k in range(plan.movers)]
     return scene
 
 
@@ -202,7 +208,9 @@ def _hills(scene: Scene, rng: np.random.Generator) -> None:
         point, heading = scene.street.place(min(s, scene.street.s[-1]), d)
         point = point + max(0.0, s - scene.street.s[-1] + 60) * np.array([np.sin(heading), np.cos(heading)])
         radii = [rng.uniform(40, 80), rng.uniform(8, 22), rng.uniform(40, 80)]
-        scene.quadrics.append(solids.ellipsoid([point[0], 0, point[1]], radii, "forest", solids.VEGETATION, (0.2, 0.28, 0.16), rng.uniform()))
+        scene.quadrics.append(
+            solids.ellipsoid([point[0], 0, point[1]], radii, "forest", solids.VEGETATION, (0.2, 0.28, 0.16), rng.uniform())
+        )
 
 
 def _mover(rng: np.random.Generator, k: int, length: float) -> Mover:

@@ -55,6 +55,6 @@ def _outline(shape: Prism | Quadric) -> np.ndarray:
     angle = np.linspace(0, 2 * np.pi, 12, endpoint=False)
     if np.isinf(shape.radii[1]):
         ring = np.stack([np.cos(angle), 0 * angle, np.sin(angle)], -1) * shape.radii[0] + shape.centre
-        return np.concatenate([ring, ring + [0, shape.top, 0]])
+        return np.concatenate([ring, ring + np.array([0, shape.top, 0])])
     rings = [np.stack([np.cos(angle) * c, 0 * angle + s, np.sin(angle) * c], -1) for s, c in ((0, 1), (0.7, 0.71), (-0.7, 0.71))]
     return np.concatenate([*rings, [[0, 1, 0], [0, -1, 0]]]) * shape.radii + shape.centre

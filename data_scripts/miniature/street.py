@@ -5,6 +5,7 @@ along the centre line, `d` the distance to the right of it. All angles are radia
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -21,6 +22,25 @@ MARGIN = 90.0
 
 CROSS_SECTION = ((4.0, "road"), (6.0, "parking"), (6.25, "curb"), (8.2, "sidewalk"), (np.inf, "grass"))
 """What the ground is, by the largest |d| of each strip."""
+
+
+AHEAD = 190.0
+"""A street goes on this far after its last camera."""
+
+
+class Plan(NamedTuple):
+    """What a street and all that stands on it follow from."""
+
+    seed: tuple[int, ...]
+    """Any integers."""
+    length: float
+    """How far along the road the camera goes, metres."""
+    bend: float = 0.25
+    """Largest heading of the road away from straight ahead, radians; at most about 1.2."""
+    wavelength: float = 260.0
+    """Length of a full left-right bend, metres."""
+    movers: int = 2
+    """Moving cars; the first, third, ... come towards the camera, the others drive ahead of it."""
 
 
 @dataclass(frozen=True)
@@ -57,21 +77,17 @@ class Street:
         return both[:, 0], both[:, 1]
 
 
-def build_street(rng: np.random.Generator, length: float, bend: float, wavelength: float) -> Street:
-    """Draw a centre line and tabulate its street coordinates.
+def build_street(plan: Plan) -> Street:
+    """Draw the centre line and tabulate its street coordinates.
 
     The heading is a sum of sines, so that the road never turns back onto itself.
-
-    Args:
-        rng: source of the phases.
-        length: last `s` that has to exist, metres.
-        bend: largest heading away from straight ahead, radians; at most about 1.2.
-        wavelength: length of a full left-right bend, metres.
     """
-    s = np.arange(-BEHIND, length + STEP, STEP)
+    rng = np.random.default_rng((*plan.seed, 0))
+    s = np.arange(-BEHIND, plan.length + AHEAD, STEP)
     phase = rng.uniform(0, 2 * np.pi, 2)
     share = rng.uniform(0.75, 0.9)
-    heading = bend * (share * np.sin(2 * np.pi * s / wavelength + phase[0]) + (1 - share) * np.sin(5 * np.pi * s / wavelength + phase[1]))
+    turns = 2 * np.pi * s / plan.wavelength
+    heading = plan.bend * (share * np.sin(turns + phase[0]) + (1 - share) * np.sin(2.5 * turns + phase[1]))
     points = np.cumsum(np.stack([np.sin(heading), np.cos(heading)], -1) * STEP, 0)
     points -= points[np.argmin(abs(s))]
     corner = points.min(0) - MARGIN

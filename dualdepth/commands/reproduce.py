@@ -23,7 +23,7 @@ def add_notebook(commands: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser = commands.add_parser("notebook", help="run one notebook by papermill")
     parser.add_argument("name", help="such as 03_train_lr")
     parser.add_argument("--out", required=True, metavar="FILE", help="where the executed copy goes")
-    parser.add_argument("parameters", nargs="*", metavar="KEY=VALUE", help="the notebook's parameters")
+    parser.add_argument("--set", nargs="*", default=[], metavar="KEY=VALUE", help="the notebook's parameters")
     parser.set_defaults(run=notebook)
 
 
@@ -38,6 +38,7 @@ def reproduce(arguments: argparse.Namespace) -> int:
     import sys
     from pathlib import Path
 
+    from dualdepth.data.kitti import check_root, read_frame_list
     from dualdepth.errors import InputError
     from dualdepth.lock import locked
     from dualdepth.results import Run
@@ -45,19 +46,23 @@ def reproduce(arguments: argparse.Namespace) -> int:
     run = Run(arguments.profile)
     seeds = parse_seeds(arguments.seeds) or run.profile.seeds
     config = {"profile": arguments.profile, "seeds": ",".join(map(str, seeds))}
+    if arguments.kitti_root:
+        check_root(arguments.kitti_root)
+    if arguments.test_list:
+        read_frame_list(arguments.test_list)
     for name in ROOTS:
         given = getattr(arguments, name)
-        if given and not Path(given).exists():
-            raise InputError(f"{name.upper()} {given}: there is no such file or folder")
         config[name] = str(Path(given).resolve()) if given else ""
     settings = [f"{k}={v}" for k, v in config.items()]
     command = [sys.executable, "-m", "snakemake", "--cores", arguments.cores, "--nolock", "--rerun-incomplete", "--quiet", "all"]
     with locked(run.work / "lock"):
         # libraries' threads and Snakemake's side-by-side jobs share the cores
         done = subprocess.run([*command, *arguments.snakemake, "--config", *settings], cwd=run.root, env=os.environ, check=False)
-    if done.returncode == 0:
-        print(f"results: {run.results.relative_to(run.root)}/tables, figures, notebooks")
-    return done.returncode and 1
+    if done.returncode:
+        logs = sorted((run.root / ".snakemake" / "log").glob("*.log"))
+        raise InputError(f"the chain stopped, see above; Snakemake's log is {logs[-1].relative_to(run.root) if logs else 'not there'}")
+    print(f"results of profile {run.profile.name}: {run.results.relative_to(run.root)}/tables, figures, notebooks")
+    return 0
 
 
 def notebook(arguments: argparse.Namespace) -> int:
@@ -70,7 +75,7 @@ def notebook(arguments: argparse.Namespace) -> int:
     from dualdepth.notebooks import run_notebook
 
     parameters = {}
-    for pair in arguments.parameters:
+    for pair in arguments.set:
         key, equals, value = pair.partition("=")
         if not equals:
             raise InputError(f"parameter {pair!r} is not KEY=VALUE")

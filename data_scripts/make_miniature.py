@@ -1,0 +1,153 @@
+"""Make the embedded synthetic street world, in KITTI's own formats.
+
+    python data_scripts/make_miniature.py --profile tiny [--out DIR]
+
+Below `work/<profile>/miniature/`: `kitti_raw`, `kitti_odometry` and `make3d` as those data sets unpack, `lists` in the
+field's formats, `dense_depth` and `labels` of the test frames. Size, length and seeds are the profile's section `world`.
+Nothing is done where the folder holds this very world already; a run that was stopped leaves nothing half-written.
+"""
+
+import argparse
+import hashlib
+import json
+import multiprocessing
+import os
+import shutil
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+from tqdm import tqdm
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(REPOSITORY))  # run as a script, only this file's folder is there; the worker processes inherit it
+
+from data_scripts.miniature.frames import write_shot  # noqa: E402
+from data_scripts.miniature.plan import folders, plan_world  # noqa: E402
+from dualdepth.atomic import write_json  # noqa: E402
+from dualdepth.config import World, load_profile  # noqa: E402
+from dualdepth.errors import InputError, exit_on_input_error  # noqa: E402
+
+STAMP = "world.json"
+"""Written last; says which settings and sources a folder was made from."""
+
+
+def make_miniature(profile: str, out: str | Path | None = None, progress: bool = True) -> Path:
+    """Make the world of a profile, unless it is there.
+
+    Args:
+        profile: name or YAML file.
+        out: folder to write; None for `work/<profile>/miniature` of the repository.
+        progress: whether to show a progress bar.
+
+    Returns:
+        The folder.
+
+    Raises:
+        InputError: the profile has no section `world`, or `out` holds something else.
+    """
+    settings = load_profile(profile)
+    if settings.world is None:
+        raise InputError(f"profile {profile}: has no section `world`; choose tiny or miniature")
+    out = Path(out) if out else REPOSITORY / "work" / settings.name / "miniature"
+    make_world(settings.world, out, progress)
+    return out
+
+
+def make_world(world: World, out: str | Path, progress: bool = True, processes: int | None = None) -> bool:
+    """Make a world in the folder `out`, unless it is there.
+
+    Args:
+        world: the settings.
+        out: folder; a world in it that was made otherwise is replaced.
+        progress: whether to show a progress bar.
+        processes: number of worker processes, None for one a core; 1 works in this one. The result is the same.
+
+    Returns:
+        Whether it had to be made.
+
+    Raises:
+        InputError: `out` is a file, or a folder that holds something else than a world.
+    """
+    out = Path(out).absolute()
+    stamp = {"digest": world_digest(world), "settings": world.model_dump(mode="json")}
+    if out.exists() and not (out.is_dir() and ((out / STAMP).is_file() or not any(out.iterdir()))):
+        raise InputError(f"{out}: is there and is no world that this script made; give another --out or remove it")
+    if _made(out) == stamp["digest"]:
+        print(f"{out}: the world is there already")
+        return False
+    out.parent.mkdir(parents=True, exist_ok=True)
+    _remove_remains(out)
+    partial = out.with_name(f".{out.name}.{os.getpid()}.part")
+    try:
+        work = plan_world(world, partial)
+        for folder in folders(work):
+            folder.mkdir(parents=True, exist_ok=True)
+        for name, text in work.texts.items():
+            (partial / name).write_text(text, encoding="utf-8")
+        _render(work.shots, progress, processes or len(os.sched_getaffinity(0)), str(out))
+        write_json(partial / STAMP, stamp)
+        if out.exists():
+            shutil.rmtree(out)
+        os.replace(partial, out)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    return True
+
+
+def world_digest(world: World) -> str:
+    """Content hash of the settings and of the sources that make the world."""
+    digest = hashlib.sha256(json.dumps(world.model_dump(mode="json"), sort_keys=True).encode())
+    for source in (Path(__file__), *sorted((Path(__file__).parent / "miniature").glob("*.py"))):
+        digest.update(source.read_bytes())
+    return digest.hexdigest()
+
+
+def _made(out: Path) -> str | None:
+    """Digest of the world in a folder, None where there is none."""
+    try:
+        return json.loads((out / STAMP).read_text(encoding="utf-8"))["digest"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _remove_remains(out: Path) -> None:
+    """Remove what killed runs left beside `out`; their process number is in the name."""
+    for remains in out.parent.glob(f".{out.name}.*.part"):
+        try:
+            os.kill(int(remains.name.split(".")[-2]), 0)
+        except ProcessLookupError:
+            shutil.rmtree(remains)
+        except (ValueError, PermissionError):
+            continue
+
+
+def _render(shots: list, progress: bool, processes: int, name: str) -> None:
+    """Write all shots; neighbours go to the same process, which keeps their street."""
+    bar = tqdm(total=len(shots), desc="rendering the world", unit="frame", disable=not progress)
+    with bar:
+        if processes == 1:
+            for shot in shots:
+                write_shot(shot)
+                bar.update()
+            return
+        # A fresh interpreter each: a notebook's process may hold threads and a GPU, which must not be forked.
+        with multiprocessing.get_context("spawn").Pool(processes, initializer=cv2.setNumThreads, initargs=(1,)) as pool:
+            for _ in pool.imap(write_shot, shots, chunksize=8):
+                bar.update()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--profile", default="tiny", help="profile with a section `world`: tiny, miniature, or a YAML file")
+    parser.add_argument("--out", type=Path, help="folder to write (default: work/<profile>/miniature)")
+    parsed = parser.parse_args(arguments)
+    with exit_on_input_error():
+        print(f"world: {make_miniature(parsed.profile, parsed.out)}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,150 @@
+"""What the world consists of: every drive, sequence and photo of the settings, as shots to render and texts to write."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from data_scripts.miniature import formats
+from data_scripts.miniature.drives import CAMERA_HEIGHT, Drive, camera_pose, drive
+from data_scripts.miniature.frames import Shot
+from data_scripts.miniature.street import Plan, build_street
+from dualdepth.config import World
+
+RAW, ODOMETRY, MAKE3D = range(3)
+"""Kinds of streets: part of their seeds, so that no two share a street."""
+FIRST_TEST_DRIVE = 101
+FIRST_TEST_SEQUENCE = 9
+TEST_PATH = 250.0
+"""Odometry is scored on segments from 100 m on; test sequences are longer than this, metres."""
+
+
+@dataclass
+class Work:
+    """All that has to be done below one folder."""
+
+    root: Path
+    shots: list[Shot] = field(default_factory=list)
+    texts: dict[str, str] = field(default_factory=dict)
+    """Content by path below `root`."""
+    lists: dict[str, list[str]] = field(default_factory=lambda: {name: [] for name in LISTS})
+
+
+LISTS = ("train_drives", "static_frames", "test_scenes", "test_files", "laser_train_files")
+"""Names of the lists in `lists/`, in the field's formats."""
+
+
+def plan_world(world: World, root: Path) -> Work:
+    """List all shots and texts of a world that is written below `root`."""
+    work = Work(root)
+    for name, text in formats.calibration_texts(world.size).items():
+        work.texts[f"kitti_raw/{formats.DATE}/{name}"] = text
+    for number in range(world.train_drives):
+        _train_drive(world, work, number)
+    for number in range(world.test_drives):
+        _test_drive(world, work, number)
+    for number in range(world.odometry_train):
+        _sequence(world, work, f"{number:02d}", (world.train_seed, ODOMETRY, number), frames=world.odometry_frames)
+    for number in range(world.odometry_test):
+        _sequence(world, work, f"{FIRST_TEST_SEQUENCE + number:02d}", (world.test_seed, ODOMETRY, number), path=TEST_PATH)
+    _photos(world, work)
+    for name, lines in work.lists.items():
+        work.texts[f"lists/{name}.txt"] = "".join(f"{line}\n" for line in lines)
+    return work
+
+
+def _raw_drive(world: World, seed: tuple[int, ...], frames: int, still: tuple[int, int] = (0, 0)) -> Drive:
+    plan = Plan(seed, length=1.3 * frames * world.frame_spacing + 10, bend=0.45, wavelength=180.0)
+    return drive(plan, build_street(plan), world.frame_spacing, frames, still=still)
+
+
+def _raw_texts(work: Work, name: str, ride: Drive, frames: list[int]) -> None:
+    """Timestamps and oxts of a raw drive."""
+    folder = f"kitti_raw/{name}"
+    for sensor in ("image_02", "oxts", "velodyne_points"):
+        work.texts[f"{folder}/{sensor}/timestamps.txt"] = formats.timestamps_text(len(ride.poses))
+    work.texts[f"{folder}/oxts/dataformat.txt"] = formats.OXTS_FORMAT
+    rows = formats.oxts_texts(ride.poses)
+    for k in frames:
+        work.texts[f"{folder}/oxts/data/{k:010d}.txt"] = rows[k]
+
+
+def _raw_shot(world: World, work: Work, name: str, ride: Drive, k: int, scan: bool) -> Shot:
+    folder = work.root / "kitti_raw" / name
+    return Shot(
+        ride.plan,
+        ride.poses[k],
+        ride.times[k],
+        formats.intrinsics(world.size),
+        world.size,
+        world.supersample,
+        image=folder / "image_02" / "data" / f"{k:010d}.png",
+        scan=folder / "velodyne_points" / "data" / f"{k:010d}.bin" if scan else None,
+        azimuth_step=world.azimuth_step,
+    )
+
+
+def _train_drive(world: World, work: Work, number: int) -> None:
+    """Consecutive frames, a few with a laser scan; in the first drive the camera stands still for a while."""
+    day, frames = formats.DATE, world.frames_per_drive
+    name = f"{day}_drive_{number + 1:04d}_sync"
+    still = (max(0, frames // 2 - world.static_frames // 2), world.static_frames) if number == 0 else (0, 0)
+    ride = _raw_drive(world, (world.train_seed, RAW, number), frames, still)
+    scanned = set(np.linspace(0, frames - 1, world.laser_train_frames + 2)[1:-1].astype(int).tolist())
+    work.shots += [_raw_shot(world, work, f"{day}/{name}", ride, k, k in scanned) for k in range(frames)]
+    _raw_texts(work, f"{day}/{name}", ride, list(range(frames)))
+    work.lists["train_drives"].append(f"{day}/{name}")
+    work.lists["static_frames"] += [f"{day} {name} {k:010d}" for k in np.flatnonzero(ride.standing)]
+    work.lists["laser_train_files"] += [f"{day}/{name} {k:010d} l" for k in sorted(scanned)]
+
+
+def _test_drive(world: World, work: Work, number: int) -> None:
+    """Scored frames in a street of their own, each with scan, exact depth and labels."""
+    day = formats.DATE
+    name = f"{day}_drive_{FIRST_TEST_DRIVE + number:04d}_sync"
+    frames = [k * world.test_step for k in range(world.test_frames)]
+    ride = _raw_drive(world, (world.test_seed, RAW, number), frames[-1] + 1)
+    for k in frames:
+        shot = _raw_shot(world, work, f"{day}/{name}", ride, k, scan=True)
+        depth, labels = work.root / "dense_depth" / name / f"{k:010d}.npy", work.root / "labels" / name / f"{k:010d}.png"
+        work.shots.append(shot._replace(depth=depth, labels=labels))
+    _raw_texts(work, f"{day}/{name}", ride, frames)
+    work.lists["test_scenes"].append(name.removesuffix("_sync"))
+    work.lists["test_files"] += [f"{day}/{name} {k:010d} l" for k in frames]
+
+
+def _sequence(world: World, work: Work, name: str, seed: tuple[int, ...], frames: int = 0, path: float = 0.0) -> None:
+    """An odometry sequence on a winding road, of a number of frames or longer than a path in metres."""
+    length = 1.15 * path + 20 if path else 1.3 * frames * world.odometry_spacing + 10
+    plan = Plan(seed, length, bend=0.85, wavelength=210.0, movers=1)
+    ride = drive(plan, build_street(plan), world.odometry_spacing, frames, path)
+    folder = f"kitti_odometry/sequences/{name}"
+    matrix = formats.intrinsics(world.size)
+    for k, (pose, time) in enumerate(zip(ride.poses, ride.times)):
+        image = work.root / folder / "image_2" / f"{k:06d}.png"
+        work.shots.append(Shot(plan, pose, time, matrix, world.size, world.supersample, image))
+    work.texts[f"{folder}/calib.txt"] = formats.odometry_calibration_text(world.size)
+    work.texts[f"{folder}/times.txt"] = "".join(f"{time:.6e}\n" for time in ride.times)
+    work.texts[f"kitti_odometry/poses/{name}.txt"] = formats.poses_text(ride.poses)
+
+
+def _photos(world: World, work: Work) -> None:
+    """Upright photos from the sidewalk of one more street, looking here and there."""
+    plan = Plan((world.test_seed, MAKE3D), length=20.0 * world.make3d_images, movers=1)
+    street, rng = build_street(plan), np.random.default_rng((world.test_seed, MAKE3D, 2))
+    height, width = world.make3d_size
+    matrix = np.array([[1.2 * width, 0, (width - 1) / 2], [0, 1.2 * width, (height - 1) / 2], [0, 0, 1]])
+    for k in range(world.make3d_images):
+        angles = (rng.uniform(-0.5, 0.5), rng.uniform(-0.05, 0.1), rng.uniform(-0.02, 0.02))
+        pose = camera_pose(street, 20.0 * k, rng.uniform(-3, 7), CAMERA_HEIGHT - rng.uniform(0, 0.2), angles)
+        name = f"mini-p-{k:03d}t000"
+        photo, grid = work.root / "make3d/Test134" / f"img-{name}.jpg", work.root / "make3d/Gridlaserdata" / f"depth_sph_corr-{name}.mat"
+        work.shots.append(Shot(plan, pose, 0.0, matrix, world.make3d_size, world.supersample, photo, grid=grid))
+
+
+def folders(work: Work) -> Iterator[Path]:
+    """Every folder that files go to."""
+    files = [work.root / name for name in work.texts]
+    files += [path for shot in work.shots for path in (shot.image, shot.depth, shot.labels, shot.scan, shot.grid) if path]
+    yield from {path.parent for path in files}

@@ -1,0 +1,186 @@
+"""Readers of KITTI's files: what they give, and the one line they say of a bad file."""
+
+import cv2
+import numpy as np
+import pytest
+from conftest import DRIVE, wall, write_calibration, write_drive
+
+from dualdepth.data.kitti import (
+    Frame,
+    calibration_entry,
+    check_root,
+    image_path,
+    intrinsics,
+    read_calibration,
+    read_frame_list,
+    read_image,
+    read_static_frames,
+    read_test_scenes,
+    velodyne_path,
+)
+from dualdepth.errors import InputError
+
+
+@pytest.fixture
+def listed(tmp_path):
+    def write(text):
+        path = tmp_path / "list.txt"
+        path.write_text(text)
+        return path
+
+    return write
+
+
+def test_a_list_in_the_fields_format_gives_frames_in_its_order(listed):
+    path = listed(f"{DRIVE} 0000000007 l\n\n{DRIVE} 0000000003 r\n{DRIVE} 12\n")
+    assert read_frame_list(path) == [Frame(DRIVE, 7), Frame(DRIVE, 3, "image_03"), Frame(DRIVE, 12)]
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "2011_09_26_drive_0001_sync 0000000007 l",
+        f"{DRIVE} 0000000007 x",
+        f"{DRIVE} seven l",
+        f"{DRIVE}",
+        "2011_09_28/2011_09_26_drive_0001_sync 0000000007 l",
+        f"../{DRIVE} 0000000007 l",
+        f"{DRIVE} 0000000007 l extra",
+    ],
+)
+def test_a_malformed_line_is_named_with_its_file_and_number(listed, line):
+    path = listed(f"{DRIVE} 0000000000 l\n{line}\n")
+    with pytest.raises(InputError, match=r"list\.txt, line 2: "):
+        read_frame_list(path)
+
+
+def test_an_empty_and_a_missing_list_are_named(listed, tmp_path):
+    with pytest.raises(InputError, match=r"list\.txt: the list is empty"):
+        read_frame_list(listed("\n\n"))
+    with pytest.raises(InputError, match=r"nowhere\.txt: cannot read"):
+        read_frame_list(tmp_path / "nowhere.txt")
+
+
+def test_a_binary_file_as_list_is_named(tmp_path):
+    path = tmp_path / "list.txt"
+    path.write_bytes(b"\xff\xfe\x00\x80" * 20)
+    with pytest.raises(InputError, match=r"list\.txt: cannot read"):
+        read_frame_list(path)
+
+
+def test_static_frames_and_test_scenes_name_drives_as_lists_do(listed):
+    assert read_static_frames(listed("2011_09_26 2011_09_26_drive_0001_sync 0000000005\n")) == {(DRIVE, 5)}
+    assert read_test_scenes(listed("2011_09_26_drive_0001\n2011_09_28_drive_0002\n")) == {
+        DRIVE,
+        "2011_09_28/2011_09_28_drive_0002_sync",
+    }
+
+
+@pytest.mark.parametrize("reader", [read_static_frames, read_test_scenes])
+def test_malformed_lines_of_the_other_lists_are_named_too(listed, reader):
+    with pytest.raises(InputError, match=r"list\.txt, line 1: 'nonsense'"):
+        reader(listed("nonsense\n"))
+
+
+def test_png_is_read_as_rgb_to_the_bit(tmp_path):
+    image = wall(20, 31)
+    cv2.imwrite(str(tmp_path / "a.png"), image[..., ::-1])
+    assert np.array_equal(read_image(tmp_path / "a.png"), image)
+
+
+def test_jpeg_is_read_as_rgb(tmp_path):
+    image = np.full((16, 16, 3), (200, 100, 20), np.uint8)
+    cv2.imwrite(str(tmp_path / "a.jpg"), image[..., ::-1])
+    assert np.abs(read_image(tmp_path / "a.jpg").astype(int) - image).max() <= 4
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+def test_grey_is_repeated_over_three_channels(tmp_path, suffix):
+    cv2.imwrite(str(tmp_path / f"a{suffix}"), np.full((16, 24), 77, np.uint8))
+    found = read_image(tmp_path / f"a{suffix}")
+    assert found.shape == (16, 24, 3)
+    assert np.abs(found.astype(int) - 77).max() <= 1
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.99])
+def test_a_truncated_image_is_an_error_and_not_half_a_picture(tmp_path, suffix, share):
+    path = tmp_path / f"a{suffix}"
+    cv2.imwrite(str(path), wall(96, 160))
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(len(whole) * share)])
+    with pytest.raises(InputError, match=rf"a\{suffix}: truncated"):
+        read_image(path)
+
+
+@pytest.mark.parametrize("content", [b"", b"not an image at all", b"<html>404</html>"])
+def test_what_is_no_image_is_named(tmp_path, content):
+    path = tmp_path / "a.png"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=rf"a\.png: not an image .*\({len(content)} bytes\)"):
+        read_image(path)
+
+
+def test_a_missing_image_is_named(tmp_path):
+    with pytest.raises(InputError, match=r"a\.png: cannot read the image"):
+        read_image(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+def test_frames_are_found_as_png_and_as_jpeg(tmp_path, suffix):
+    write_drive(tmp_path, [4], suffix=suffix)
+    assert image_path(tmp_path, Frame(DRIVE, 4)) == tmp_path / DRIVE / "image_02/data" / f"0000000004{suffix}"
+    assert image_path(tmp_path, Frame(DRIVE, 5)) is None
+    assert image_path(tmp_path, Frame(DRIVE, 4, "image_03")) is None
+
+
+def test_a_scan_lies_where_kitti_puts_it(tmp_path):
+    assert velodyne_path(tmp_path, Frame(DRIVE, 4)) == tmp_path / DRIVE / "velodyne_points/data/0000000004.bin"
+
+
+def test_intrinsics_are_those_of_the_cameras_rectified_projection(tmp_path):
+    write_calibration(tmp_path)
+    path = tmp_path / "2011_09_26/calib_cam_to_cam.txt"
+    path.write_text(path.read_text().replace("P_rect_03: 2.2", "P_rect_03: 3.3"))
+    assert intrinsics(tmp_path, "2011_09_26").tolist() == [[220, 0, 104], [0, 220, 104], [0, 0, 1]]
+    assert intrinsics(tmp_path, "2011_09_26", "image_03")[0, 0] == 330
+
+
+def test_a_calibration_without_the_projection_is_named(tmp_path):
+    write_calibration(tmp_path)
+    path = tmp_path / "2011_09_26/calib_cam_to_cam.txt"
+    path.write_text("\n".join(line for line in path.read_text().splitlines() if not line.startswith("P_rect_02")))
+    with pytest.raises(InputError, match=r"calib_cam_to_cam\.txt: has no P_rect_02"):
+        intrinsics(tmp_path, "2011_09_26")
+
+
+@pytest.mark.parametrize("numbers", ["1 2 3", "nan " * 12, "inf " * 12])
+def test_a_projection_of_a_wrong_size_or_not_finite_is_named(tmp_path, numbers):
+    path = tmp_path / "2011_09_26/calib_cam_to_cam.txt"
+    path.parent.mkdir()
+    path.write_text(f"P_rect_02: {numbers}\n")
+    with pytest.raises(InputError, match=r"calib_cam_to_cam\.txt: P_rect_02 must be 12 finite numbers"):
+        intrinsics(tmp_path, "2011_09_26")
+
+
+@pytest.mark.parametrize("text", ["", "calib_time: 09-Jan-2012 13:57:47\n", "<html>not found</html>\n"])
+def test_a_file_without_numbers_is_no_calibration(tmp_path, text):
+    path = tmp_path / "calib.txt"
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"calib\.txt: holds no `key: numbers` line"):
+        read_calibration(path)
+
+
+def test_a_calibration_entry_keeps_its_numbers(tmp_path):
+    path = tmp_path / "calib.txt"
+    path.write_text("T: 1.5e-01 -2 3\n")
+    assert calibration_entry(read_calibration(path), "T", 3, path).tolist() == [0.15, -2, 3]
+
+
+def test_a_root_must_hold_date_folders(tmp_path):
+    with pytest.raises(InputError, match="nowhere is not a folder"):
+        check_root(tmp_path / "nowhere")
+    with pytest.raises(InputError, match=r"holds no 2011_\*/calib_cam_to_cam\.txt"):
+        check_root(tmp_path)
+    write_calibration(tmp_path)
+    assert check_root(str(tmp_path)) == tmp_path

@@ -1,0 +1,104 @@
+"""Which frames are trained on: consecutive, moving, of no test drive."""
+
+import pytest
+from conftest import DRIVE, write_calibration, write_drive
+
+from dualdepth.data.kitti import Frame, image_path
+from dualdepth.data.triplets import drive_triplets, load_triplets, missing_neighbours, name_missing, read_targets, write_targets
+from dualdepth.errors import InputError
+
+OTHER = "2011_09_28/2011_09_28_drive_0002_sync"
+
+
+@pytest.fixture
+def root(tmp_path):
+    write_calibration(tmp_path)
+    write_drive(tmp_path, [0, 1, 2, 3, 5, 6, 7, 8], size=(8, 8))
+    return tmp_path
+
+
+def numbers(targets):
+    return [frame.index for frame in targets]
+
+
+def test_targets_have_both_neighbours_in_number(root):
+    assert numbers(drive_triplets(root, [DRIVE])) == [1, 2, 6, 7]
+
+
+def test_a_triplet_holds_no_static_frame(root):
+    assert numbers(drive_triplets(root, [DRIVE], static={(DRIVE, 3), (OTHER, 6)})) == [1, 6, 7]
+
+
+def test_neighbours_are_of_the_same_drive(root):
+    write_drive(root, [4, 5], OTHER, size=(8, 8))
+    write_drive(root, [9], "2011_09_26/2011_09_26_drive_0003_sync", size=(8, 8))
+    assert {f.drive for f in drive_triplets(root, [DRIVE, OTHER, "2011_09_26/2011_09_26_drive_0003_sync"])} == {DRIVE}
+
+
+def test_a_test_drive_is_refused_by_name(root):
+    with pytest.raises(InputError, match=f"training drives {DRIVE} hold test frames"):
+        drive_triplets(root, [DRIVE], test_scenes={DRIVE})
+
+
+def test_all_drives_without_frames_are_named_in_one_message(root):
+    with pytest.raises(InputError, match=f"2 drives: {OTHER}, 2011_09_26/elsewhere"):
+        drive_triplets(root, [DRIVE, OTHER, "2011_09_26/elsewhere"])
+
+
+def test_a_drive_without_three_consecutive_frames_is_an_error(root):
+    write_drive(root, [1, 2, 4, 5], OTHER, size=(8, 8))
+    with pytest.raises(InputError, match="no three consecutive moving frames"):
+        drive_triplets(root, [OTHER])
+
+
+def test_the_first_camera_that_a_drive_has_is_read(root):
+    write_drive(root, [0, 1, 2], OTHER, size=(8, 8), camera="image_00")
+    found = drive_triplets(root, [DRIVE, OTHER], cameras=("image_02", "image_00"))
+    assert {(f.drive, f.camera) for f in found} == {(DRIVE, "image_02"), (OTHER, "image_00")}
+
+
+def test_an_empty_camera_folder_is_passed_over(root):
+    write_drive(root, [0, 1, 2], OTHER, size=(8, 8), camera="image_00")
+    (root / OTHER / "image_02" / "data").mkdir(parents=True)
+    assert numbers(drive_triplets(root, [OTHER], cameras=("image_02", "image_00"))) == [1]
+
+
+def test_missing_neighbours_are_found_once_each(root):
+    missing = missing_neighbours(root, [Frame(DRIVE, 3), Frame(DRIVE, 4), Frame(OTHER, 1)])
+    assert missing == [Frame(DRIVE, 4), Frame(OTHER, 0), Frame(OTHER, 1), Frame(OTHER, 2)]
+
+
+def test_one_message_names_all_missing_files(root):
+    missing = missing_neighbours(root, [Frame(DRIVE, 4), Frame(OTHER, 1)])
+    message = str(name_missing("training frames", root, missing))
+    assert "4 training frames are missing, of 2 drives" in message
+    assert all(str(frame) in message for frame in missing)
+    assert "\n" not in message
+
+
+def test_thousands_of_missing_files_still_make_one_readable_line(root):
+    message = str(name_missing("frames", root, [Frame(OTHER, i) for i in range(5000)]))
+    assert "5000 frames are missing" in message
+    assert len(message) < 2500
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+def test_written_targets_read_back_as_triplets_of_real_files(tmp_path, suffix):
+    write_calibration(tmp_path, focal=100.0)
+    write_drive(tmp_path, range(4), size=(8, 8), suffix=suffix)
+    targets = drive_triplets(tmp_path, [DRIVE])
+    write_targets(tmp_path / "out/triplets.csv", tmp_path, targets)
+    assert [frame for frame, _ in read_targets(tmp_path / "out/triplets.csv")] == targets
+    triplets = load_triplets(tmp_path / "out/triplets.csv", tmp_path)
+    assert [t.name for t in triplets] == [str(f) for f in targets]
+    assert triplets[0].intrinsics[0, 0] == 100
+    for triplet, frame in zip(triplets, targets):
+        assert triplet.paths == tuple(image_path(tmp_path, frame._replace(index=frame.index + o)) for o in (0, -1, 1))
+
+
+def test_a_list_that_was_not_prepared_names_the_notebook(tmp_path):
+    with pytest.raises(InputError, match=r"triplets\.csv: .*02_prepare_data"):
+        load_triplets(tmp_path / "triplets.csv", tmp_path)
+    (tmp_path / "triplets.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(InputError, match=r"triplets\.csv: .*02_prepare_data"):
+        load_triplets(tmp_path / "triplets.csv", tmp_path)

@@ -1,0 +1,195 @@
+"""Encoders: strides, channels, padding, ImageNet weights from a folder, foreign backbones; all without network."""
+
+import socket
+
+import pytest
+import torch
+from torch import nn
+from torch.nn import functional as F
+
+from dualdepth.errors import InputError
+from dualdepth.networks.encoders import IMAGENET_MEAN, make_encoder
+from dualdepth.networks.lr_net import LRNet
+
+CHANNELS = {
+    "resnet18": (64, 64, 128, 256, 512),
+    "resnet50": (64, 256, 512, 1024, 2048),
+    "mobilenet_v2": (16, 24, 32, 96, 320),
+}
+NAMES = list(CHANNELS)
+
+
+@pytest.fixture(autouse=True)
+def no_network(monkeypatch):
+    def refuse(*arguments, **_):
+        raise AssertionError(f"the network was asked for {arguments[:2]}")
+
+    monkeypatch.setattr(socket, "getaddrinfo", refuse)
+    monkeypatch.setattr(socket.socket, "connect", refuse)
+
+
+def randomised(net, seed=0):
+    """Give batch norms the statistics of a trained network, so that a zero at the border would show."""
+    torch.manual_seed(seed)
+    for module in net.modules():
+        if isinstance(module, nn.BatchNorm2d):
+            nn.init.normal_(module.running_mean, std=0.3)
+            nn.init.uniform_(module.running_var, 0.5, 2)
+            nn.init.normal_(module.bias, std=0.3)
+    return net.eval()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_maps_have_strides_2_to_32_and_the_networks_channels(name):
+    encoder = make_encoder(name).eval()
+    with torch.inference_mode():
+        maps = encoder(torch.rand(2, 3, 64, 96))
+    assert encoder.channels == CHANNELS[name]
+    assert [tuple(m.shape) for m in maps] == [(2, c, 64 // s, 96 // s) for c, s in zip(CHANNELS[name], (2, 4, 8, 16, 32))]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_no_convolution_pads_with_zeros(name):
+    padded = [m for m in LRNet(name).modules() if isinstance(m, nn.Conv2d) and any(m.padding)]
+    assert len(padded) > 20
+    assert {m.padding_mode for m in padded} == {"reflect"}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_flat_image_has_flat_maps_up_to_the_border(name):
+    """Zeros beyond the border would show as a frame."""
+    encoder = randomised(make_encoder(name))
+    with torch.inference_mode():
+        maps = encoder(torch.tensor([0.9, 0.4, 0.1]).view(1, 3, 1, 1).expand(1, 3, 64, 96))
+    for found in maps:
+        assert found.abs().max() > 1e-3
+        assert torch.allclose(found, found[..., :1, :1].expand_as(found), rtol=1e-3, atol=1e-4 * found.abs().max().item())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_first_convolution_is_that_of_the_mirrored_image(name):
+    encoder = make_encoder(name).eval()
+    first = next(m for m in encoder.modules() if isinstance(m, nn.Conv2d))
+    image, pad = torch.rand(1, 3, 32, 32), first.kernel_size[0] // 2
+    with torch.inference_mode():
+        expected = F.conv2d(F.pad(image, (pad,) * 4, mode="reflect"), first.weight, first.bias, stride=2)
+        assert torch.allclose(first(image), expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_images_are_normalised_as_imagenet_weights_expect(name):
+    encoder = randomised(make_encoder(name))
+    grey = torch.tensor(IMAGENET_MEAN).view(1, 3, 1, 1).expand(1, 3, 64, 64)
+    with torch.inference_mode():
+        for found, expected in zip(encoder(grey), encoder.stages(torch.zeros(1, 3, 64, 64))):
+            assert torch.allclose(found, expected, atol=1e-5)
+
+
+def test_mobilenet_leaves_the_padding_to_its_convolutions():
+    """`tf_padding` pads zeros in forward, before the convolution could mirror."""
+    encoder = make_encoder("mobilenet_v2")
+    assert not any(m.config.tf_padding for m in encoder.modules() if hasattr(m, "config"))
+    assert {m.momentum for m in encoder.modules() if isinstance(m, nn.BatchNorm2d)} == {0.1}
+
+
+@pytest.mark.parametrize("name", ["resnet18", "mobilenet_v2"])
+def test_imagenet_weights_are_taken_from_a_local_folder(name, tmp_path):
+    """The folder is what the hub holds: the classifier, whose encoder's names have a prefix."""
+    from transformers import MobileNetV2Config, MobileNetV2ForImageClassification, ResNetConfig, ResNetForImageClassification
+
+    torch.manual_seed(5)
+    if name == "resnet18":
+        config = ResNetConfig(depths=[2, 2, 2, 2], hidden_sizes=[64, 128, 256, 512], layer_type="basic")
+        donor = ResNetForImageClassification(config)
+    else:
+        donor = MobileNetV2ForImageClassification(MobileNetV2Config())
+    randomised(donor)
+    donor.save_pretrained(tmp_path)
+    assert (tmp_path / "model.safetensors").is_file()
+    torch.manual_seed(6)
+    encoder = make_encoder(name, pretrained=str(tmp_path))
+    given = {k.split(".", 1)[1]: v for k, v in donor.state_dict().items() if not k.startswith("classifier")}
+    taken = {k.removeprefix("backbone."): v for k, v in encoder.state_dict().items()}
+    if name == "mobilenet_v2":
+        taken = {k.replace("stem.", "conv_stem.", 1).replace("layers.", "layer.", 1): v for k, v in taken.items()}
+    assert len(taken) > 100
+    assert all(torch.equal(given[k], v) for k, v in taken.items())
+
+
+def test_the_pretrained_encoder_computes_what_its_donor_does(tmp_path):
+    from transformers import ResNetConfig, ResNetForImageClassification
+
+    donor = randomised(ResNetForImageClassification(ResNetConfig(depths=[2, 2, 2, 2], hidden_sizes=[64, 128, 256, 512], layer_type="basic")))
+    donor.save_pretrained(tmp_path)
+    encoder = make_encoder("resnet18", pretrained=str(tmp_path)).eval()
+    for module in encoder.modules():
+        if isinstance(module, nn.Conv2d):
+            module.padding_mode = "zeros"  # the donor's
+    image = torch.rand(1, 3, 64, 96)
+    with torch.inference_mode():
+        expected = donor.resnet(image, output_hidden_states=True).hidden_states
+        found = encoder.stages(image)
+    # the donor's first state lies after the max-pool
+    assert torch.allclose(F.max_pool2d(found[0], 3, 2, 1), expected[0], atol=1e-5)
+    assert all(torch.allclose(a, b, rtol=1e-4, atol=1e-4) for a, b in zip(found[1:], expected[1:], strict=True))
+
+
+def test_weights_that_cannot_be_had_are_a_one_line_error(tmp_path):
+    with pytest.raises(InputError, match="nowhere' cannot be loaded") as error:
+        make_encoder("resnet18", pretrained=str(tmp_path / "nowhere"))
+    assert "pretrained: false" in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_weights_of_another_network_are_an_error(tmp_path):
+    from transformers import ResNetConfig, ResNetModel
+
+    ResNetModel(ResNetConfig(depths=[1, 1, 1, 1], hidden_sizes=[8, 8, 8, 8], embedding_size=8, layer_type="basic")).save_pretrained(tmp_path)
+    with pytest.raises(InputError):
+        make_encoder("resnet18", pretrained=str(tmp_path))
+
+
+def tiny_config(kind):
+    from transformers import ConvNextConfig, ConvNextV2Config, SwinConfig
+
+    if kind == "swin":
+        return SwinConfig(image_size=64, embed_dim=8, depths=[1, 1, 1, 1], num_heads=[1, 1, 2, 2], window_size=4)
+    config = {"convnext": ConvNextConfig, "convnextv2": ConvNextV2Config}[kind]
+    return config(hidden_sizes=[8, 16, 24, 32], depths=[1, 1, 1, 1])
+
+
+@pytest.mark.parametrize("kind", ["swin", "convnext", "convnextv2"])
+def test_any_hierarchical_backbone_is_an_encoder_without_a_stride_2_map(kind, tmp_path):
+    tiny_config(kind).save_pretrained(tmp_path)
+    net = LRNet(str(tmp_path)).eval()
+    with torch.inference_mode():
+        maps = net.encoder(torch.rand(1, 3, 128, 416))
+        output = net(torch.rand(1, 3, 128, 416))
+    assert maps[0] is None
+    assert net.encoder.channels[0] is None
+    assert [m.shape[-2:] for m in maps[1:]] == [(128 // s, 416 // s) for s in (4, 8, 16, 32)]
+    assert [d.shape[-2:] for d in output.disparities] == [(128, 416), (64, 208), (32, 104), (16, 52)]
+
+
+def test_weights_of_a_backbone_are_taken_from_its_folder(tmp_path):
+    from transformers import SwinForImageClassification
+
+    donor = SwinForImageClassification(tiny_config("swin"))
+    donor.save_pretrained(tmp_path)
+    encoder = make_encoder(str(tmp_path), pretrained=True)
+    given = donor.swin.embeddings.patch_embeddings.projection.weight
+    assert torch.equal(encoder.backbone.embeddings.patch_embeddings.projection.weight, given)
+
+
+def test_a_backbone_of_one_scale_is_refused(tmp_path):
+    from transformers import Dinov2Config
+
+    Dinov2Config(hidden_size=16, num_hidden_layers=4, num_attention_heads=2, image_size=64, patch_size=16).save_pretrained(tmp_path)
+    with pytest.raises(InputError, match="a hierarchical backbone with 4, 8, 16, 32 is needed"):
+        make_encoder(str(tmp_path))
+
+
+def test_a_folder_that_holds_no_network_is_an_error_that_names_it(tmp_path):
+    (tmp_path / "config.json").write_text("{}")
+    with pytest.raises(InputError, match="not resnet50, resnet18, mobilenet_v2 nor a usable AutoBackbone"):
+        make_encoder(str(tmp_path))

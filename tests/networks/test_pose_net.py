@@ -1,0 +1,65 @@
+"""PoseNet is that of Zhou et al. 2017."""
+
+import pytest
+import torch
+from torch import nn
+
+from dualdepth.networks.pose_net import PoseNet
+
+
+@pytest.fixture
+def net():
+    torch.manual_seed(0)
+    return PoseNet()
+
+
+def images(seed=0, items=2, size=(128, 416)):
+    return torch.rand(items, 3, 3, *size, generator=torch.Generator().manual_seed(seed))
+
+
+def test_it_has_the_1_59_million_parameters_of_zhou_et_al(net):
+    widths, kernels = (9, 16, 32, 64, 128, 256, 256, 256), (7, 5, 3, 3, 3, 3, 3)
+    by_hand = sum(i * o * k * k + o for i, o, k in zip(widths, widths[1:], kernels)) + 256 * 12 + 12
+    assert sum(p.numel() for p in net.parameters()) == by_hand == 1_590_668
+
+
+def test_it_pads_with_zeros_and_has_no_batch_norm(net):
+    convolutions = [m for m in net.modules() if isinstance(m, nn.Conv2d)]
+    assert len(convolutions) == 8
+    assert {m.padding_mode for m in convolutions} == {"zeros"}
+    assert not any(isinstance(m, nn.BatchNorm2d) for m in net.modules())
+
+
+@pytest.mark.parametrize("size", [(64, 64), (64, 192), (128, 416)])
+def test_it_gives_one_pose_of_six_numbers_a_source(net, size):
+    assert net(images(size=size)).shape == (2, 2, 6)
+
+
+def test_its_first_poses_are_next_to_nothing(net):
+    poses = net(images())
+    assert 0 < poses.abs().max() < 0.01
+
+
+def test_poses_of_an_item_do_not_depend_on_the_others(net):
+    together = net(torch.cat([images(0, 1), images(1, 1)]))
+    assert torch.allclose(together[:1], net(images(0, 1)), atol=1e-6)
+
+
+@pytest.mark.parametrize("view", [0, 1, 2])
+def test_target_and_both_sources_are_looked_at(net, view):
+    changed = images()
+    changed[:, view] = 1 - changed[:, view]
+    assert (net(changed) - net(images())).abs().max() > 1e-6
+
+
+def test_poses_are_float32_under_bfloat16(net):
+    with torch.autocast("cpu", torch.bfloat16):
+        assert net(images()).dtype == torch.float32
+
+
+def test_its_output_is_linear_and_scaled_by_a_hundredth(net):
+    with torch.no_grad():
+        net.layers[-1].weight.zero_()
+        net.layers[-1].bias.copy_(torch.arange(-6.0, 6.0))
+    expected = 0.01 * torch.arange(-6.0, 6.0).view(1, 2, 6).expand(2, 2, 6)
+    assert torch.allclose(net(images()), expected)

@@ -1,0 +1,240 @@
+"""View synthesis against closed forms, a slow NumPy reading of equation 1, and finite differences."""
+
+import numpy as np
+import pytest
+import torch
+
+from dualdepth import geometry
+from dualdepth.geometry import pose_matrix, reproject, resize_intrinsics, rotation_matrix, sample
+
+KITTI = torch.tensor([[721.5, 0.0, 609.6], [0.0, 721.5, 172.9], [0.0, 0.0, 1.0]])
+
+
+def camera(height, width, focal=None):
+    f = focal or 0.6 * width
+    return torch.tensor([[f, 0.0, 0.47 * width], [0.0, 1.1 * f, 0.53 * height], [0.0, 0.0, 1.0]])[None]
+
+
+def disparities(height, width, seed=0):
+    return 0.02 + torch.rand(1, 1, height, width, generator=torch.Generator().manual_seed(seed))
+
+
+def pose(*numbers):
+    return pose_matrix(torch.tensor([numbers], dtype=torch.float32))
+
+
+def grid(height, width):
+    v, u = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
+    return u.float(), v.float()
+
+
+def slow_rotation(x, y, z):
+    rx = np.array([[1, 0, 0], [0, np.cos(x), -np.sin(x)], [0, np.sin(x), np.cos(x)]])
+    ry = np.array([[np.cos(y), 0, np.sin(y)], [0, 1, 0], [-np.sin(y), 0, np.cos(y)]])
+    rz = np.array([[np.cos(z), -np.sin(z), 0], [np.sin(z), np.cos(z), 0], [0, 0, 1]])
+    return rx @ ry @ rz
+
+
+@pytest.mark.parametrize(("height", "width"), [(2, 3), (7, 13), (12, 39), (16, 96), (3, 1248)])
+def test_warp_with_the_identity_pose_gives_the_image(height, width):
+    image = torch.rand(1, 3, height, width, generator=torch.Generator().manual_seed(width))
+    pixel, valid = reproject(disparities(height, width), pose(0, 0, 0, 0, 0, 0), camera(height, width))
+    assert valid.all()
+    # float32 knows pixel 1248 to about 1e-4
+    assert torch.allclose(sample(image, pixel), image, atol=5e-4)
+
+
+def test_moving_parallel_to_the_image_plane_shifts_by_focal_length_times_translation_over_depth():
+    height, width, depth = 12, 40, 8.0
+    k = camera(height, width)
+    pixel, _ = reproject(torch.full((1, 1, height, width), 1 / depth), pose(0.7, -0.3, 0, 0, 0, 0), k)
+    u, v = grid(height, width)
+    assert torch.allclose(pixel[0, ..., 0], u + k[0, 0, 0] * 0.7 / depth, atol=1e-4)
+    assert torch.allclose(pixel[0, ..., 1], v - k[0, 1, 1] * 0.3 / depth, atol=1e-4)
+
+
+def test_the_warp_undoes_a_sideways_motion_of_a_wall():
+    height, width, shift, depth = 10, 40, 4, 5.0
+    target = torch.rand(1, 3, height, width, generator=torch.Generator().manual_seed(0))
+    source = target.roll(shift, dims=-1)  # what was at u is at u + 4
+    k = camera(height, width)
+    pixel, valid = reproject(torch.full((1, 1, height, width), 1 / depth), pose(shift * depth / k[0, 0, 0], 0, 0, 0, 0, 0), k)
+    assert torch.allclose(sample(source, pixel)[..., : width - shift], target[..., : width - shift], atol=1e-4)
+    assert valid[0, 0].all(dim=0).tolist() == [True] * (width - shift) + [False] * shift
+
+
+def test_moving_forward_expands_the_image_about_the_principal_point():
+    height, width, depth, step = 11, 41, 10.0, 2.0
+    k = camera(height, width)
+    pixel, _ = reproject(torch.full((1, 1, height, width), 1 / depth), pose(0, 0, -step, 0, 0, 0), k)
+    u, v = grid(height, width)
+    growth = depth / (depth - step)
+    assert torch.allclose(pixel[0, ..., 0], k[0, 0, 2] + (u - k[0, 0, 2]) * growth, atol=1e-4)
+    assert torch.allclose(pixel[0, ..., 1], k[0, 1, 2] + (v - k[0, 1, 2]) * growth, atol=1e-4)
+
+
+def test_the_focus_of_expansion_stands_still_whatever_its_depth():
+    height, width, u, v = 12, 40, 26, 3
+    k = camera(height, width)
+    heading = torch.linalg.inv(k[0]) @ torch.tensor([u, v, 1.0])
+    for disparity in (0.02, 0.3, 0.9):
+        pixel, valid = reproject(torch.full((1, 1, height, width), disparity), pose(*(-0.5 * heading), 0, 0, 0), k)
+        assert torch.allclose(pixel[0, v, u], torch.tensor([26.0, 3.0]), atol=1e-4)
+        assert valid[0, 0, v, u]
+
+
+def test_a_pure_rotation_moves_pixels_independently_of_depth():
+    k = camera(12, 40)
+    near, _ = reproject(torch.full((1, 1, 12, 40), 10.0), pose(0, 0, 0, 0.02, -0.05, 0.1), k)
+    far, _ = reproject(disparities(12, 40), pose(0, 0, 0, 0.02, -0.05, 0.1), k)
+    assert torch.allclose(near, far, atol=1e-4)
+    assert (near - torch.stack(grid(12, 40), -1)).abs().max() > 1
+
+
+def test_a_yaw_moves_the_principal_point_by_focal_length_times_tangent():
+    k, angle = torch.tensor([[[30.0, 0, 20], [0, 30, 6], [0, 0, 1]]]), 0.2
+    pixel, _ = reproject(torch.ones(1, 1, 12, 40), pose(0, 0, 0, 0, angle, 0), k)
+    assert pixel[0, 6, 20, 0].item() == pytest.approx(20 + 30 * np.tan(angle), abs=1e-4)
+    assert pixel[0, 6, 20, 1].item() == pytest.approx(6, abs=1e-4)
+
+
+def test_points_behind_the_source_camera_are_invalid_and_finite():
+    depth = torch.full((1, 1, 8, 16), 2.0)
+    depth[..., 8:] = 50.0
+    pixel, valid = reproject(1 / depth, pose(0, 0, -10, 0, 0, 0), camera(8, 16))
+    assert not valid[..., :8].any()  # 8 m behind the camera; their mirrored projections would lie inside the image
+    assert valid[0, 0, 4, 8]
+    assert pixel.isfinite().all()
+
+
+@pytest.mark.parametrize(("shift", "columns"), [(0.4, 40), (0.6, 39), (3.0, 37), (-3.0, 37), (39.6, 0), (100.0, 0)])
+def test_a_pixel_is_valid_while_it_lies_on_the_source_image(shift, columns):
+    k = camera(6, 40)
+    _, valid = reproject(torch.ones(1, 1, 6, 40), pose(shift / k[0, 0, 0], 0, 0, 0, 0, 0), k)
+    assert valid.all(dim=2).sum() == valid.any(dim=2).sum() == columns
+
+
+def test_a_pixel_above_or_below_the_source_image_is_invalid():
+    k = camera(6, 40)
+    for shift in (-2, 2):
+        _, valid = reproject(torch.ones(1, 1, 6, 40), pose(0, shift / k[0, 1, 1], 0, 0, 0, 0), k)
+        assert valid[0, 0].any(dim=1).sum() == 4
+
+
+def test_the_rotation_is_rx_times_ry_times_rz():
+    rng = np.random.default_rng(0)
+    for angles in rng.uniform(-3, 3, (8, 3)):
+        assert np.allclose(rotation_matrix(torch.tensor(angles)).numpy(), slow_rotation(*angles), atol=1e-12)
+
+
+def test_angles_are_clipped_to_half_a_turn():
+    assert torch.allclose(rotation_matrix(torch.tensor([0.0, 9.0, 0.0])), rotation_matrix(torch.tensor([0.0, torch.pi, 0.0])))
+
+
+def test_a_pose_holds_the_translation_first_and_maps_target_points_to_source_points():
+    matrix = pose_matrix(torch.tensor([1.0, 2, 3, 0.1, 0.2, 0.3], dtype=torch.float64)).numpy()
+    point = np.array([0.5, -1, 7])
+    assert np.allclose(matrix @ [*point, 1], [*(slow_rotation(0.1, 0.2, 0.3) @ point + [1, 2, 3]), 1], atol=1e-12)
+
+
+def test_poses_of_a_batch_of_sources_keep_their_places():
+    poses = torch.rand(2, 3, 6, generator=torch.Generator().manual_seed(0))
+    matrices = pose_matrix(poses)
+    assert matrices.shape == (2, 3, 4, 4)
+    assert torch.equal(matrices[1, 2], pose_matrix(poses[1, 2]))
+
+
+def double_grid(monkeypatch):
+    """Let the pixel grid be float64, so that all of equation 1 is."""
+    original = geometry.pixel_grid
+    monkeypatch.setattr(geometry, "pixel_grid", lambda *arguments: original(*arguments).double())
+
+
+def test_reprojection_equals_a_slow_reading_of_equation_1(monkeypatch):
+    double_grid(monkeypatch)
+    height, width = 5, 9
+    k, disparity = camera(height, width).double(), disparities(height, width).double()
+    numbers = torch.tensor([[0.3, -0.2, 0.4, 0.05, -0.1, 0.07]], dtype=torch.float64)
+    pixel, valid = reproject(disparity, pose_matrix(numbers), k)
+    matrix, translation = k[0].numpy(), numbers[0, :3].numpy()
+    for v in range(height):
+        for u in range(width):
+            point = 1 / disparity[0, 0, v, u].item() * np.linalg.inv(matrix) @ [u, v, 1]
+            moved = matrix @ (slow_rotation(0.05, -0.1, 0.07) @ point + translation)
+            where = moved[:2] / moved[2]
+            assert np.allclose(pixel[0, v, u].numpy(), where, atol=1e-10)
+            inside = -0.5 <= where[0] <= width - 0.5 and -0.5 <= where[1] <= height - 0.5
+            assert valid[0, 0, v, u].item() == (inside and moved[2] > 0)
+
+
+def test_items_of_a_batch_use_their_own_pose_depth_and_intrinsics():
+    disparity = torch.cat([disparities(6, 10, seed) for seed in range(3)])
+    transforms = pose_matrix(0.1 * torch.rand(3, 6, generator=torch.Generator().manual_seed(1)))
+    k = torch.cat([camera(6, 10, focal) for focal in (5.0, 8.0, 11.0)])
+    together, _ = reproject(disparity, transforms, k)
+    for i in range(3):
+        alone, _ = reproject(disparity[i : i + 1], transforms[i : i + 1], k[i : i + 1])
+        assert torch.allclose(together[i : i + 1], alone, atol=1e-5)
+
+
+def test_an_infinitely_far_point_projects_to_its_vanishing_point():
+    k = camera(6, 40)
+    pixel, valid = reproject(torch.zeros(1, 1, 6, 40), pose(1, 2, 3, 0, 0, 0), k)
+    assert valid.all()
+    assert torch.allclose(pixel[0, ..., 0], grid(6, 40)[0], atol=1e-4)
+
+
+def test_sampling_is_bilinear_between_pixel_centres_and_repeats_the_border():
+    rng = np.random.default_rng(0)
+    image = rng.random((1, 2, 5, 7))
+    where = np.concatenate([rng.uniform(0, 4, (1, 4, 6, 1)) * 1.5, rng.uniform(0, 4, (1, 4, 6, 1))], axis=-1)
+    where[0, 0, :3] = [[-5, 2], [6.4, 4.3], [100, -100]]
+    found = sample(torch.tensor(image), torch.tensor(where))[0].numpy()
+    for i, j in np.ndindex(4, 6):
+        u, v = np.clip(where[0, i, j, 0], 0, 6), np.clip(where[0, i, j, 1], 0, 4)
+        u0, v0 = min(int(u), 5), min(int(v), 3)
+        a, b = u - u0, v - v0
+        part = image[0, :, v0 : v0 + 2, u0 : u0 + 2]
+        expected = (1 - b) * ((1 - a) * part[:, 0, 0] + a * part[:, 0, 1]) + b * ((1 - a) * part[:, 1, 0] + a * part[:, 1, 1])
+        assert np.allclose(found[:, i, j], expected, atol=1e-6)
+
+
+@pytest.mark.parametrize(("scale_x", "scale_y"), [(1 / 3, 1 / 3), (0.5, 0.25), (1.01, 1.13)])
+def test_resized_intrinsics_project_a_point_to_the_place_the_resizing_moves_it(scale_x, scale_y):
+    point = torch.tensor([2.0, -1.0, 9.0])
+    before, after = KITTI @ point, resize_intrinsics(KITTI, scale_x, scale_y) @ point
+    u, v = before[:2] / before[2]
+    # the left edge of the image, at −0.5, stays at −0.5
+    assert torch.allclose(after[:2] / after[2], torch.stack([(u + 0.5) * scale_x - 0.5, (v + 0.5) * scale_y - 0.5]), atol=1e-3)
+
+
+def test_resizing_intrinsics_leaves_the_given_ones_alone():
+    given = KITTI.clone()
+    resize_intrinsics(given, 0.5, 0.5)
+    assert torch.equal(given, KITTI)
+
+
+def test_gradients_of_the_synthesized_view_equal_finite_differences(monkeypatch):
+    double_grid(monkeypatch)
+    rng = torch.Generator().manual_seed(2)
+    image = torch.rand(1, 2, 5, 7, generator=rng, dtype=torch.float64)
+    k = camera(5, 7).double()
+
+    def synthesized(disparity, numbers, image):
+        pixel, valid = reproject(disparity, pose_matrix(numbers), k)
+        return sample(image, pixel) * valid
+
+    disparity = (0.1 + 0.5 * torch.rand(1, 1, 5, 7, generator=rng, dtype=torch.float64)).requires_grad_()
+    numbers = torch.tensor([[0.31, -0.22, 0.13, 0.03, -0.05, 0.07]], dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(synthesized, (disparity, numbers, image.requires_grad_()), eps=1e-7, atol=1e-4)
+
+
+def test_gradients_stay_finite_where_points_pass_through_the_camera_plane():
+    disparity = (0.5 * torch.rand(1, 1, 6, 8, generator=torch.Generator().manual_seed(3))).requires_grad_()
+    numbers = torch.tensor([[0.1, 0.2, -4.0, 0.0, 0.0, 0.0]], requires_grad=True)
+    pixel, valid = reproject(disparity, pose_matrix(numbers), camera(6, 8))
+    assert valid.any()
+    assert not valid.all()
+    sample(torch.rand(1, 3, 6, 8), pixel).sum().backward()
+    assert disparity.grad.isfinite().all()
+    assert numbers.grad.isfinite().all()
