@@ -7,7 +7,7 @@ from dualdepth.results import Run, code_digest, notebook_digest
 PROFILE = config.get("profile", "tiny")
 run_ = Run(PROFILE)
 NAME = run_.profile.name
-SEEDS = [int(s) for s in str(config.get("seeds", "")).split(",") if s] or run_.profile.seeds
+SEEDS = [int(s) for s in str(config.get("seeds") or "").split(",") if s] or run_.profile.seeds
 WORK, RESULTS = f"work/{NAME}", f"results/{NAME}"
 ONE_AT_A_TIME = workflow.cores  # a training uses all cores
 
@@ -41,8 +41,8 @@ rule download_data:
         notebook=notebook("01_download_data"),
         settings=run_.profile.digest("world", "data"),
         code=code_digest("world"),
-        kitti_root=config.get("kitti_root", ""),
-        test_list=config.get("test_list", ""),
+        kitti_root=config.get("kitti_root") or "",
+        test_list=config.get("test_list") or "",
     shell:
         "dualdepth notebook 01_download_data --out {output.notebook} --set profile={PROFILE}"
         " kitti_root={params.kitti_root:q} test_list={params.test_list:q}"

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from data_scripts.miniature import formats
-from data_scripts.miniature.drives import CAMERA_HEIGHT, Drive, camera_pose, drive
+from data_scripts.miniature.drives import CAMERA_HEIGHT, PERIOD, Drive, camera_pose, drive
 from data_scripts.miniature.frames import Shot
 from data_scripts.miniature.street import Plan, build_street
 from dualdepth.config import World
@@ -55,7 +55,8 @@ def plan_world(world: World, root: Path) -> Work:
 
 
 def _raw_drive(world: World, seed: tuple[int, ...], frames: int, still: tuple[int, int] = (0, 0)) -> Drive:
-    plan = Plan(seed, length=1.3 * frames * world.frame_spacing + 10, bend=0.45, wavelength=180.0)
+    length = 1.3 * frames * world.frame_spacing + 10
+    plan = Plan(seed, length, bend=0.45, wavelength=180.0, pace=world.frame_spacing / PERIOD)
     return drive(plan, build_street(plan), world.frame_spacing, frames, still=still)
 
 

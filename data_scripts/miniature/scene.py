@@ -83,7 +83,7 @@ def build_scene(plan: Plan) -> Scene:
         _parked(scene, rng, side, density)
     _hills(scene, rng)
     scene.shadows = cast_shadows(scene.street, [*scene.prisms, *scene.quadrics])
-    scene.movers = [_mover(rng, k, plan.length) for k in range(plan.movers)]
+    scene.movers = [_mover(rng, k, plan) for k in range(plan.movers)]
     return scene
 
 
@@ -213,9 +213,9 @@ def _hills(scene: Scene, rng: np.random.Generator) -> None:
         )
 
 
-def _mover(rng: np.random.Generator, k: int, length: float) -> Mover:
+def _mover(rng: np.random.Generator, k: int, plan: Plan) -> Mover:
     """Moving car number `k`: even ones come towards the camera, odd ones drive ahead of it, away from it."""
     paint, seed = _pick(rng, PAINTS), rng.uniform()
     if k % 2 == 0:
-        return Mover(length * rng.uniform(0.6, 1.1) + 60 * (k // 2) + 20, -rng.uniform(6, 11), -LANE, paint, seed)
-    return Mover(rng.uniform(22, 40) + 45 * (k // 2), rng.uniform(12, 14), LANE, paint, seed)
+        return Mover(plan.length * rng.uniform(0.6, 1.1) + 60 * (k // 2) + 20, -rng.uniform(6, 11), -LANE, paint, seed)
+    return Mover(rng.uniform(22, 40) + 45 * (k // 2), plan.pace * rng.uniform(1.15, 1.35), LANE, paint, seed)

@@ -41,6 +41,8 @@ class Plan(NamedTuple):
     """Length of a full left-right bend, metres."""
     movers: int = 2
     """Moving cars; the first, third, ... come towards the camera, the others drive ahead of it."""
+    pace: float = 10.5
+    """The camera's mean speed in m/s; those ahead of it are faster, so that it runs into none."""
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,158 @@
+"""Profiles: what they say of the paper, and what is said of a bad one."""
+
+import pytest
+
+from dualdepth.config import PROFILES, Stage, load_profile
+from dualdepth.errors import InputError
+from dualdepth.paper import RECIPE
+from dualdepth.training import learning_rate, total_steps
+
+SHIPPED = ["miniature", "paper", "sample", "tiny"]
+
+GOOD = """
+about: a test
+data:
+  source: kitti
+  train_drives: [2011_09_26/2011_09_26_drive_0001_sync]
+"""
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(text, name="own"):
+        path = tmp_path / f"{name}.yaml"
+        path.write_text(text)
+        return str(path)
+
+    return write
+
+
+def test_the_four_profiles_are_shipped_and_valid():
+    assert sorted(p.stem for p in PROFILES.glob("*.yaml")) == SHIPPED
+    for name in SHIPPED:
+        profile = load_profile(name)
+        assert profile.name == name
+        assert profile.about
+
+
+def test_the_paper_profile_is_the_papers_recipe():
+    profile = load_profile("paper")
+    training, stage = profile.training, profile.training.lr
+    assert stage.epochs == RECIPE["epochs"][0] == 40
+    assert stage.batch_size == RECIPE["batch_size"] == 4
+    assert (stage.beta1, stage.beta2) == (RECIPE["beta1"], RECIPE["beta2"]) == (0.9, 0.999)
+    assert tuple(stage.learning_rates) == RECIPE["learning_rates"] == ((10, 2e-4), (20, 1e-4), (40, 5e-5))
+    assert stage.max_steps is None
+    assert profile.data.hr_size == RECIPE["hr_size"] == (384, 1248)
+    assert profile.data.lr_size == RECIPE["lr_size"] == (128, 416)
+    assert training.loss.alpha == RECIPE["alpha"] == 0.85
+    assert training.loss.scales == len(RECIPE["scales"]) == 4
+    assert training.encoder == "resnet50"
+    assert training.pretrained is True
+    assert training.augmentation.augment_first
+    assert training.loss.feature > 0
+    assert (profile.data.train_list, profile.data.test_list) == ("eigen_zhou", "eigen_test")
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_nothing_beyond_the_paper_is_on(name):
+    training = load_profile(name).training
+    assert not training.loss.beyond_paper_automask
+    assert not training.augmentation.beyond_paper_flip
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_every_profile_trains_maps_that_can_be_mirrored(name):
+    assert min(load_profile(name).data.lr_size) // 32 >= 2
+
+
+def test_the_learning_rate_steps_down_at_the_papers_epochs():
+    stage, per_epoch = load_profile("paper").training.lr, 39_810 // 4
+    total = total_steps(stage, 39_810)
+    assert total == 40 * per_epoch == 398_080
+    rates = {epoch: {learning_rate(stage, (epoch - 1) * per_epoch + s, total) for s in (0, 1, per_epoch - 1)} for epoch in range(1, 41)}
+    assert all(rates[epoch] == {2e-4} for epoch in range(1, 11))
+    assert all(rates[epoch] == {1e-4} for epoch in range(11, 21))
+    assert all(rates[epoch] == {5e-5} for epoch in range(21, 41))
+
+
+@pytest.mark.parametrize("total", [4, 40, 396, 2376])
+def test_a_shorter_run_has_the_same_steps_in_proportion(total):
+    rates = [learning_rate(Stage(), step, total) for step in range(total)]
+    assert rates == [2e-4] * (total // 4) + [1e-4] * (total // 4) + [5e-5] * (total // 2)
+
+
+def test_steps_are_whole_batches_of_all_epochs_unless_cut_short():
+    assert total_steps(Stage(epochs=3), 10) == 6
+    assert total_steps(Stage(epochs=3, max_steps=4), 10) == 4
+    assert total_steps(Stage(epochs=3, max_steps=9), 10) == 6
+
+
+def test_an_own_profile_is_named_by_its_file(written):
+    assert load_profile(written(GOOD, "mine")).name == "mine"
+
+
+@pytest.mark.parametrize(
+    ("text", "unknown", "nearest"),
+    [
+        (GOOD + "sedes: [1]\n", "sedes", "seeds"),
+        (GOOD + "training:\n  lr:\n    epoch: 3\n", "training.lr.epoch", "epochs"),
+        (GOOD + "training:\n  loss:\n    smothness: 3\n", "training.loss.smothness", "smoothness"),
+        (GOOD.replace("  source: kitti", "  source: kitti\n  train_drive: x"), "data.train_drive", "train_drives"),
+        (GOOD + "world:\n  sise: [1, 2]\n", "world.sise", "size"),
+    ],
+)
+def test_an_unknown_setting_names_the_nearest_one(written, text, unknown, nearest):
+    with pytest.raises(InputError, match=rf"own\.yaml: .*unknown setting {unknown}; did you mean {nearest}\?"):
+        load_profile(written(text))
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        (GOOD + "seeds: many\n", "seeds"),
+        (GOOD + "1: 2\n", "1"),
+        (GOOD + "training:\n  precision: float16\n", "training.precision"),
+        (GOOD + "training:\n  loss:\n    scales: 5\n", "training.loss.scales"),
+        (GOOD + "training:\n  augmentation:\n    max_scale: 0.9\n", "training.augmentation.max_scale"),
+        (GOOD + "training:\n  lr:\n    batch_size: 0\n", "training.lr.batch_size"),
+        (GOOD + "training:\n  lr:\n    learning_rates: []\n", "training.lr.learning_rates"),
+        (GOOD + "training:\n  accumulate: 0\n", "training.accumulate"),
+        (GOOD + "training:\n  workers: -1\n", "training.workers"),
+        (GOOD + "  hr_size: [380, 1248]\n", "hr_size"),
+        (GOOD + "  hr_size: [96, 288]\n", "hr_size"),
+        (GOOD + "  hr_size: [0, 0]\n", "hr_size"),
+        (GOOD + "  train_list: eigen_zhou\n", "train_list or train_drives"),
+        (GOOD.replace("  train_drives: [2011_09_26/2011_09_26_drive_0001_sync]\n", ""), "train_list or train_drives"),
+        (GOOD.replace("kitti", "cityscapes"), "data.source"),
+        (GOOD.replace("kitti", "miniature"), "world"),
+        (GOOD.replace("about: a test\n", ""), "about"),
+        ("- a\n- b\n", "expected a mapping of settings, found list"),
+        ("", "expected a mapping of settings, found NoneType"),
+        ("a: [1,\n", "not a YAML file"),
+    ],
+)
+def test_a_bad_profile_is_one_error_that_names_file_and_setting(written, text, named):
+    with pytest.raises(InputError) as error:
+        load_profile(written(text))
+    message = str(error.value)
+    assert "own.yaml: " in message
+    assert named in message
+
+
+def test_an_unknown_profile_names_those_there_are():
+    with pytest.raises(InputError, match="profile 'papper' not found: choose one of miniature, paper, sample, tiny"):
+        load_profile("papper")
+
+
+def test_values_are_fixed_once_read():
+    from pydantic import ValidationError
+
+    with pytest.raises(ValidationError):
+        load_profile("tiny").training.lr.epochs = 3
+
+
+def test_the_digest_changes_with_its_own_sections_only(written):
+    plain, other = load_profile(written(GOOD)), load_profile(written(GOOD + "training:\n  lr:\n    epochs: 3\n", "other"))
+    assert plain.digest("training.loss", "data.hr_size") == other.digest("training.loss", "data.hr_size")
+    assert plain.digest("training.lr") != other.digest("training.lr")
