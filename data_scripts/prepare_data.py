@@ -83,7 +83,7 @@ def kitti_sources(run: Run, kitti_root: str, test_list: str) -> Sources:
 
 
 def prepare(run: Run) -> Prepared:
-    """Write `work/<profile>/prepared`: triplets.csv, test_frames.json, ground_truth.npz, and baseline_truth.npz where training frames have scans.
+    """Write `work/<profile>/prepared`: triplets.csv, test_frames.json, ground_truth.npz and, from training frames, baseline_truth.npz.
 
     Raises:
         InputError: files are missing (all in one message), or a drive is both trained on and scored.
@@ -113,9 +113,7 @@ def main(argv: list[str] | None = None) -> int:
     """Run the command line."""
     parser = argparse.ArgumentParser(description="Find or make a profile's data and prepare them.")
     parser.add_argument("--profile", default="tiny", help="tiny, miniature, sample, paper, or a YAML file (default: %(default)s)")
-    parser.add_argument(
-        "--kitti-root", default="", metavar="DIR", help="folder that holds 2011_09_26 and the other days; else downloaded"
-    )
+    parser.add_argument("--kitti-root", default="", metavar="DIR", help="folder that holds 2011_09_26 and the other days; else downloaded")
     parser.add_argument("--test-list", default="", metavar="FILE", help="frames to score instead of the profile's, in the field's format")
     arguments = parser.parse_args(argv)
     with exit_on_input_error():

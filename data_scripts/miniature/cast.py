@@ -53,15 +53,19 @@ def cast(shapes: list[Prism | Quadric], rays: Rays) -> Hits:
     ground = _affine(rotation[1] / -origin[1], rays.x, rays.y)
     nearness = np.maximum(ground, 0.0).astype(np.float32)
     index = np.where(ground > 0, np.uint16(GROUND), np.uint16(SKY))
-    first = FIRST
-    for shape, window in zip(shapes, _windows(shapes, rays)):
-        if window is not None:
-            rows, columns = window
-            part = Hits(nearness[rows, columns], index[rows, columns])
-            y = rays.y[rows] if rays.y.shape[1] == 1 else rays.y[rows, columns]
-            add = _cast_prism if isinstance(shape, Prism) else _cast_quadric
-            add(shape, first, rotation, origin, rays.x[:, columns], y, part)
-        first += len(shape.normals) if isinstance(shape, Prism) else 1
+    counts = [len(shape.normals) if isinstance(shape, Prism) else 1 for shape in shapes]
+    first = FIRST + np.cumsum([0, *counts[:-1]])
+    windows, nearest = _windows(shapes, rays)
+    for k in np.argsort(-nearest, kind="stable"):  # front to back, since what is hidden as a whole costs nothing more
+        if windows[k] is None:
+            continue
+        rows, columns = windows[k]
+        part = Hits(nearness[rows, columns], index[rows, columns])
+        if part.nearness.min() >= nearest[k]:
+            continue
+        y = rays.y[rows] if rays.y.shape[1] == 1 else rays.y[rows, columns]
+        add = _cast_prism if isinstance(shapes[k], Prism) else _cast_quadric
+        add(shapes[k], first[k], rotation, origin, rays.x[:, columns], y, part)
     return Hits(nearness, index)
 
 
@@ -71,8 +75,8 @@ def _affine(form: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return a * x + (b * y + c)
 
 
-def _windows(shapes: list[Prism | Quadric], rays: Rays) -> list[tuple[slice, slice] | None]:
-    """Rows and columns of the rays that may meet each solid's box; None where there are none."""
+def _windows(shapes: list[Prism | Quadric], rays: Rays) -> tuple[list[tuple[slice, slice] | None], np.ndarray]:
+    """Rows and columns of the rays that may meet each solid's box, None where there are none; and the boxes' greatest nearness."""
     corners = np.stack([shape.corners for shape in shapes]) - rays.pose[:3, 3]
     corners = corners @ rays.pose[:3, :3]  # (N, 8, 3) in the camera frame
     i, j = np.triu_indices(8, 1)
@@ -92,7 +96,9 @@ def _windows(shapes: list[Prism | Quadric], rays: Rays) -> list[tuple[slice, sli
     else:
         top, bottom = np.zeros(len(shapes), int), np.full(len(shapes), rays.y.shape[0])
     boxes = zip(top, bottom, left, right)
-    return [(slice(t, b), slice(lo, hi)) if t < b and lo < hi else None for t, b, lo, hi in boxes]
+    depth = corners[..., 2].min(1)
+    nearest = np.where(depth > NEAR, 1 / np.maximum(depth, NEAR), np.inf)
+    return [(slice(t, b), slice(lo, hi)) if t < b and lo < hi else None for t, b, lo, hi in boxes], nearest
 
 
 def _cast_prism(shape: Prism, first: int, rotation, origin, x, y, part: Hits) -> None:

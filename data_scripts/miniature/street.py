@@ -5,6 +5,7 @@ along the centre line, `d` the distance to the right of it. All angles are radia
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import cv2
@@ -17,7 +18,7 @@ BEHIND = 40.0
 """The road begins this far before s = 0."""
 CELL = 0.5
 """Grid of the map from world to street coordinates; both are smooth, so bilinear interpolation is good to millimetres."""
-MARGIN = 90.0
+MARGIN = 60.0
 """The map reaches this far beyond the centre line; points outside take the nearest cell's values."""
 
 CROSS_SECTION = ((4.0, "road"), (6.0, "parking"), (6.25, "curb"), (8.2, "sidewalk"), (np.inf, "grass"))
@@ -79,6 +80,7 @@ class Street:
         return both[:, 0], both[:, 1]
 
 
+@lru_cache(maxsize=16)
 def build_street(plan: Plan) -> Street:
     """Draw the centre line and tabulate its street coordinates.
 

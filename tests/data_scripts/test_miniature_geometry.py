@@ -1,13 +1,8 @@
 """The world's geometry is exact: closed forms, reprojection of one frame into the next, and the laser against dense depth."""
 
-import sys
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from data_scripts.miniature import formats, solids
 from data_scripts.miniature.cast import FIRST, GROUND, SKY, cast
@@ -56,9 +51,8 @@ def test_ground_depth_is_height_times_focal_length_over_rows_below_the_horizon()
 
 
 def test_box_cylinder_and_sphere_are_met_where_they_stand():
-    straight = np.zeros(2)
     box = solids.block(solids.Place(np.array([0.0, 20.0]), 0.0), (4.0, 3.0, 3.0), "plain", solids.BUILDING, (0, 0, 0), 0.0)
-    post = solids.cylinder(straight + [0, 12], 0.1, 3.0, "metal", solids.POLE, (0, 0, 0), 0.0)
+    post = solids.cylinder(np.array([0.0, 12.0]), 0.1, 3.0, "metal", solids.POLE, (0, 0, 0), 0.0)
     ball = solids.ellipsoid([0, -1.65, 30], [2, 2, 2], "leaves", solids.VEGETATION, (0, 0, 0), 0.0)
     middle = np.array([[0.58 * 656, 0, 300], [0, 0.58 * 656, 100], [0, 0, 1]])
     rays = camera_rays(level_camera(), middle, SIZE)

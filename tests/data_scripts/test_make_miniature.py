@@ -1,0 +1,259 @@
+"""The written world: KITTI's layout and formats read by the readers of real KITTI, the same bytes twice, made once."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from scipy.io import loadmat
+
+from data_scripts import make_miniature
+from data_scripts.miniature import formats
+from data_scripts.miniature.frames import grid_intrinsics
+from dualdepth.config import World
+from dualdepth.data import kitti
+from dualdepth.data.lidar import ground_truth
+from dualdepth.errors import InputError
+
+REPOSITORY = Path(__file__).parents[2]
+SETTINGS = {
+    "size": (48, 152),
+    "supersample": 2,
+    "train_drives": 2,
+    "frames_per_drive": 8,
+    "static_frames": 4,
+    "laser_train_frames": 2,
+    "azimuth_step": 1.0,
+    "test_drives": 1,
+    "test_frames": 2,
+    "odometry_train": 1,
+    "odometry_test": 1,
+    "odometry_frames": 4,
+    "odometry_spacing": 12.0,
+    "make3d_images": 1,
+    "make3d_size": (140, 105),
+}
+WORLD = World(**SETTINGS)
+LEAST = World(
+    **SETTINGS | {"train_drives": 1, "frames_per_drive": 3, "static_frames": 2, "test_frames": 1, "odometry_train": 0, "odometry_test": 0}
+)
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory):
+    out = tmp_path_factory.mktemp("world") / "miniature"
+    assert make_miniature.make_world(WORLD, out, progress=False, processes=1)
+    return out
+
+
+@pytest.fixture(scope="module")
+def least(tmp_path_factory):
+    out = tmp_path_factory.mktemp("least") / "miniature"
+    make_miniature.make_world(LEAST, out, progress=False, processes=1)
+    return out
+
+
+def contents(folder):
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def test_lists_name_what_is_there_and_the_readers_of_kitti_read_it(root):
+    raw = kitti.check_root(root / "kitti_raw")
+    test = kitti.read_frame_list(root / "lists" / "test_files.txt")
+    laser = kitti.read_frame_list(root / "lists" / "laser_train_files.txt")
+    train = (root / "lists" / "train_drives.txt").read_text().split()
+    assert len(test) == WORLD.test_drives * WORLD.test_frames
+    assert len(laser) == WORLD.train_drives * WORLD.laser_train_frames
+    assert len(train) == WORLD.train_drives
+    assert kitti.read_test_scenes(root / "lists" / "test_scenes.txt") == {frame.drive for frame in test}
+    assert not {frame.drive for frame in test} & set(train)
+    assert {frame.drive for frame in laser} == set(train)
+    frames = test + [kitti.Frame(drive, k) for drive in train for k in range(WORLD.frames_per_drive)]
+    for frame in frames:
+        assert kitti.read_image(kitti.image_path(raw, frame)).shape == (*WORLD.size, 3)
+    assert len(list(raw.rglob("*.png"))) == len(frames)
+    assert len(list(raw.rglob("*.bin"))) == len(test) + len(laser)
+
+
+def test_laser_ground_truth_of_the_field_agrees_with_dense_depth(root):
+    for frame in kitti.read_frame_list(root / "lists" / "test_files.txt"):
+        sparse = ground_truth(root / "kitti_raw", frame)
+        dense = np.load(root / "dense_depth" / frame.drive.split("/")[1] / f"{frame.index:010d}.npy")
+        # The field's map is shifted by a pixel and holds laser-forward depth (PROTOCOLS B1): compare with the neighbours.
+        rows, columns = np.nonzero(sparse)
+        inside = (rows < WORLD.size[0] - 2) & (columns < WORLD.size[1] - 2)
+        rows, columns = rows[inside], columns[inside]
+        around = np.stack([dense[rows + i, columns + j] for i in (0, 1, 2) for j in (0, 1, 2)])
+        laser = sparse[rows, columns]
+        low, high = np.where(around > 0, around, np.inf).min(0), around.max(0)
+        assert rows.size > 300
+        assert ((laser > 0.94 * low - 0.4) & (laser < 1.06 * high + 0.4)).mean() > 0.95
+
+
+def test_every_test_frame_has_labels_and_depth_that_fit_together(root):
+    known = {0, 1, 2, 4, 5, 7, 8, 9, 10, 13}
+    for frame in kitti.read_frame_list(root / "lists" / "test_files.txt"):
+        drive = frame.drive.split("/")[1]
+        labels = cv2.imread(str(root / "labels" / drive / f"{frame.index:010d}.png"), cv2.IMREAD_UNCHANGED)
+        depth = np.load(root / "dense_depth" / drive / f"{frame.index:010d}.npy")
+        assert labels.dtype == np.uint8
+        assert labels.shape == depth.shape == WORLD.size
+        assert set(np.unique(labels)) <= known
+        assert {0, 1, 8, 10} <= set(np.unique(labels))
+        assert ((labels == 10) == (depth == 0)).all()
+        assert (depth[labels == 0] < 400).all()
+
+
+def test_camera_stands_still_where_the_static_list_says_and_nowhere_else(root):
+    static = kitti.read_static_frames(root / "lists" / "static_frames.txt")
+    assert len(static) == WORLD.static_frames
+    for drive in (root / "lists" / "train_drives.txt").read_text().split():
+        rows = [np.loadtxt(path) for path in sorted((root / "kitti_raw" / drive / "oxts" / "data").glob("*.txt"))]
+        places = np.array(rows)[:, :2]
+        still = {k for k in range(len(rows) - 1) if np.allclose(places[k], places[k + 1], rtol=0, atol=1e-10)}
+        assert still | {k + 1 for k in still} == {k for name, k in static if name == drive}
+
+
+def test_oxts_holds_thirty_numbers_of_which_speed_and_yaw_are_the_true_ones(root):
+    drive = (root / "lists" / "train_drives.txt").read_text().split()[1]
+    folder = root / "kitti_raw" / drive / "oxts"
+    rows = np.stack([np.loadtxt(path) for path in sorted((folder / "data").glob("*.txt"))])
+    assert rows.shape == (WORLD.frames_per_drive, 30)
+    assert len((folder / "dataformat.txt").read_text().split()) == 30
+    assert len((folder / "timestamps.txt").read_text().splitlines()) == WORLD.frames_per_drive
+    scale = np.cos(np.radians(rows[0, 0])) * 6378137  # the Mercator projection of KITTI's development kit
+    east = scale * np.radians(rows[:, 1])
+    north = scale * np.log(np.tan(np.radians(90 + rows[:, 0]) / 2))
+    np.testing.assert_allclose(rows[1:-1, 7], (east[2:] - east[:-2]) / 0.2, atol=0.02)
+    np.testing.assert_allclose(rows[1:-1, 6], (north[2:] - north[:-2]) / 0.2, atol=0.02)
+    forward = rows[:, 7] * np.cos(rows[:, 5]) + rows[:, 6] * np.sin(rows[:, 5])
+    np.testing.assert_allclose(rows[:, 8], forward, rtol=0.01)
+    assert (abs(rows[:, 9]) < 0.1 * rows[:, 8]).all()
+
+
+def test_calibration_has_kittis_keys_and_field_of_view(root):
+    day = root / "kitti_raw" / formats.DATE
+    cameras = kitti.read_calibration(day / "calib_cam_to_cam.txt")
+    assert cameras["S_rect_02"].tolist() == [152, 48]
+    for key, size in (("P_rect_00", 12), ("P_rect_02", 12), ("R_rect_00", 9), ("R_rect_02", 9), ("K_02", 9), ("D_02", 5)):
+        kitti.calibration_entry(cameras, key, size, day)
+    matrix = kitti.intrinsics(root / "kitti_raw", formats.DATE)
+    assert matrix[0, 0] == matrix[1, 1] == pytest.approx(0.58 * 152)
+    velo = kitti.read_calibration(day / "calib_velo_to_cam.txt")
+    assert abs(velo["T"] - [0, -0.08, -0.27]).max() < 0.01
+    assert kitti.read_calibration(day / "calib_imu_to_velo.txt")["R"].size == 9
+
+
+def test_odometry_sequences_have_frames_poses_and_a_test_path_longer_than_250_m(root):
+    for name, test in (("00", False), ("09", True)):
+        sequence = root / "kitti_odometry" / "sequences" / name
+        poses = np.loadtxt(root / "kitti_odometry" / "poses" / f"{name}.txt").reshape(-1, 3, 4)
+        images = sorted((sequence / "image_2").glob("*.png"))
+        assert [path.name for path in images] == [f"{k:06d}.png" for k in range(len(poses))]
+        assert len(np.loadtxt(sequence / "times.txt")) == len(poses)
+        np.testing.assert_array_equal(poses[0], np.eye(3, 4))
+        np.testing.assert_allclose(poses[:, :, :3] @ poses[:, :, :3].transpose(0, 2, 1), np.tile(np.eye(3), (len(poses), 1, 1)), atol=1e-6)
+        length = np.linalg.norm(np.diff(poses[:, :, 3], axis=0), axis=1).sum()
+        assert length > 250 if test else len(poses) == WORLD.odometry_frames
+        calibration = kitti.read_calibration(sequence / "calib.txt")
+        np.testing.assert_allclose(calibration["P2"].reshape(3, 4)[:, :3], kitti.intrinsics(root / "kitti_raw", formats.DATE))
+        np.testing.assert_allclose(calibration["Tr"].reshape(3, 4), formats.LASER_TO_CAMERA[:3], atol=1e-9)
+        if test:
+            headings = np.degrees(np.unwrap(np.arctan2(poses[:, 0, 2], poses[:, 2, 2])))
+            assert np.ptp(headings) > 45
+            assert (poses[1:, 2, 3] > 0).all()
+
+
+def test_make3d_photo_and_grid_show_the_same_view(root):
+    photo = kitti.read_image(root / "make3d" / "Test134" / "img-mini-p-000t000.jpg")
+    assert photo.shape == (*WORLD.make3d_size, 3)
+    grid = loadmat(root / "make3d" / "Gridlaserdata" / "depth_sph_corr-mini-p-000t000.mat")["Position3DGrid"]
+    assert grid.shape == (55, 305, 4)
+    np.testing.assert_allclose(np.linalg.norm(grid[..., :3], axis=-1), grid[..., 3], rtol=1e-6)
+    assert 1 < grid[..., 3].min() < 6
+    assert grid[..., 3].max() <= formats.FARTHEST
+    assert (grid[:8, :, 3] > 70).mean() > (grid[-8:, :, 3] > 70).mean() == 0
+
+
+def test_grid_cells_divide_the_photo_evenly():
+    matrix = grid_intrinsics(np.array([[100.0, 0, 52], [0, 100, 70], [0, 0, 1]]), (140, 105))
+    for corner, cell in ((-0.5, -0.5), (104.5, 304.5)):  # the photo's edges are the grid's edges
+        assert matrix[0, 0] * (corner - 52) / 100 + matrix[0, 2] == pytest.approx(cell)
+
+
+def test_same_settings_give_the_same_bytes_also_in_several_processes(least, tmp_path):
+    make_miniature.make_world(LEAST, tmp_path / "again", progress=False, processes=2)
+    assert contents(tmp_path / "again") == contents(least)
+
+
+def test_other_seeds_give_other_streets_on_their_side_only(least, tmp_path):
+    make_miniature.make_world(LEAST.model_copy(update={"test_seed": 7}), tmp_path / "other", progress=False, processes=1)
+    one, other = contents(least), contents(tmp_path / "other")
+    assert one.keys() == other.keys()
+    changed = {name for name in one if one[name] != other[name]}
+    pictures = {name for name in one if name.endswith((".png", ".jpg", ".bin", ".npy", ".mat"))}
+    assert {name for name in pictures if "_drive_01" in name or "make3d" in name} <= changed
+    assert not {name for name in pictures if "_drive_00" in name} & changed
+
+
+def test_training_and_test_streets_must_differ():
+    with pytest.raises(ValueError, match="both 3"):
+        World(train_seed=3, test_seed=3)
+
+
+def test_world_that_is_there_is_not_made_again_and_another_one_is_replaced(least, tmp_path, capsys):
+    out = tmp_path / "w"
+    out.mkdir()
+    assert make_miniature.make_world(LEAST, out, progress=False, processes=1)
+    assert not make_miniature.make_world(LEAST, out, progress=False, processes=1)
+    assert "there already" in capsys.readouterr().out
+    fewer = LEAST.model_copy(update={"make3d_images": 0})
+    assert make_miniature.make_world(fewer, out, progress=False, processes=1)
+    assert not list(out.rglob("*.mat"))
+    assert json.loads((out / "world.json").read_text())["settings"]["make3d_images"] == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["w"]
+
+
+def test_failure_leaves_the_old_world_and_nothing_half_written(least, tmp_path, monkeypatch):
+    out = tmp_path / "w"
+    (tmp_path / ".w.999999999.part" / "rest").mkdir(parents=True)  # of a killed run; no process has this number
+    (tmp_path / f".w.{os.getppid()}.part").mkdir()  # of a run that is still going on
+    make_miniature.make_world(LEAST, out, progress=False, processes=1)
+    before = contents(out)
+
+    def fail(shot):
+        raise OSError("disk full")
+
+    monkeypatch.setattr(make_miniature, "write_shot", fail)
+    with pytest.raises(OSError, match="disk full"):
+        make_miniature.make_world(LEAST.model_copy(update={"make3d_images": 0}), out, progress=False, processes=1)
+    assert contents(out) == before
+    assert {path.name for path in tmp_path.iterdir()} == {"w", f".w.{os.getppid()}.part"}
+
+
+def test_folder_with_something_else_is_refused_and_kept(tmp_path):
+    (tmp_path / "thesis.tex").write_text("years of work")
+    with pytest.raises(InputError, match="is no world"):
+        make_miniature.make_world(LEAST, tmp_path, progress=False, processes=1)
+    assert (tmp_path / "thesis.tex").exists()
+
+
+def test_command_makes_a_world_and_answers_mistakes_with_one_line(tmp_path):
+    def run(world):
+        profile = tmp_path / "small.yaml"
+        profile.write_text(f"about: a test\n{world}")
+        command = [sys.executable, str(REPOSITORY / "data_scripts" / "make_miniature.py"), "--profile", str(profile), "--out", "w"]
+        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+
+    done = run(f"world: {json.dumps(LEAST.model_dump(mode='json'))}\ndata: {{source: miniature}}\n")
+    assert done.returncode == 0, done.stderr
+    assert "frame" in done.stderr  # the progress bar
+    assert (tmp_path / "w" / "world.json").is_file()
+    for world in ("world: {sized: 3}\ndata: {source: miniature}\n", "data: {source: kitti, train_drives: [a]}\n"):
+        failed = run(world)
+        assert failed.returncode == 2
+        assert len(failed.stderr.splitlines()) == 1

@@ -1,0 +1,67 @@
+"""The notebooks as they are committed: in the order, tagged, executed, and really compared by nbval."""
+
+import re
+
+import nbformat
+import pytest
+
+from dualdepth.results import project_root
+
+NOTEBOOKS = sorted((project_root() / "notebooks").glob("*.ipynb"))
+UNCHECKED = "nbval-ignore-output"
+
+
+@pytest.fixture(params=NOTEBOOKS, ids=lambda path: path.stem)
+def notebook(request):
+    return nbformat.read(request.param, as_version=4)
+
+
+def code_cells(notebook):
+    return [cell for cell in notebook.cells if cell.cell_type == "code"]
+
+
+def test_every_notebook_stands_in_the_snakefile_and_the_other_way_round():
+    order = set(re.findall(r"dualdepth notebook (\S+)", (project_root() / "Snakefile").read_text(encoding="utf-8")))
+    assert order == {path.stem for path in NOTEBOOKS}
+
+
+def test_it_has_one_parameters_cell_whose_first_parameter_is_the_profile(notebook):
+    tagged = [cell for cell in code_cells(notebook) if "parameters" in cell.metadata.get("tags", [])]
+    assert len(tagged) == 1
+    assert tagged[0].source.startswith('profile = "tiny"')
+
+
+def test_it_begins_with_the_question_it_answers(notebook):
+    first = notebook.cells[0]
+    assert first.cell_type == "markdown"
+    assert "?" in first.source.splitlines()[0]
+
+
+def test_every_code_cell_was_executed_and_none_failed(notebook):
+    # nbval never compares a cell without an execution count
+    assert all(cell.execution_count for cell in code_cells(notebook))
+    assert not [o for cell in code_cells(notebook) for o in cell.outputs if o.output_type == "error"]
+
+
+def test_it_has_cells_whose_output_is_compared(notebook):
+    compared = [cell for cell in code_cells(notebook) if cell.outputs and UNCHECKED not in cell.metadata.get("tags", [])]
+    assert len(compared) >= 2
+
+
+def test_pictures_and_progress_are_in_cells_that_are_not_compared(notebook):
+    for cell in code_cells(notebook):
+        volatile = any("image/png" in o.get("data", {}) or o.get("name") == "stderr" for o in cell.outputs)
+        assert not volatile or UNCHECKED in cell.metadata.get("tags", []), cell.source
+
+
+def test_it_shows_a_picture(notebook):
+    assert any("image/png" in o.get("data", {}) for cell in code_cells(notebook) for o in cell.outputs)
+
+
+def test_it_knows_nothing_of_the_machine_it_ran_on(notebook):
+    text = nbformat.writes(notebook)
+    assert not re.search(r"/(work|home|root|Users|tmp)/", re.sub(r'"image/png": "[^"]*"', "", text))
+
+
+def test_it_is_small(notebook):
+    assert len(nbformat.writes(notebook)) < 1_500_000

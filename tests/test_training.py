@@ -1,0 +1,281 @@
+"""The training loop: it learns, it repeats itself to the bit, it goes on where it was killed, and it stops in one line."""
+
+import json
+import os
+import signal
+import time
+
+import pandas as pd
+import pytest
+import torch
+from accelerate.state import AcceleratorState
+from conftest import DRIVE
+from safetensors.torch import load_file
+
+from dualdepth.checkpoints import load_checkpoint
+from dualdepth.config import load_profile
+from dualdepth.data.triplets import drive_triplets, load_triplets, write_targets
+from dualdepth.errors import InputError
+from dualdepth.stages import LRStage
+from dualdepth.training import train
+from dualdepth.training_log import read_log
+
+STEPS = 6
+
+
+@pytest.fixture(autouse=True)
+def quiet_torch():
+    """Each training decides precision and determinism for itself."""
+    yield
+    AcceleratorState._reset_state(reset_partial_state=True)
+    torch.use_deterministic_algorithms(False)
+
+
+@pytest.fixture(scope="session")
+def encoder(tmp_path_factory):
+    """A ResNet of a few thousand weights, as folder for `encoder`."""
+    from transformers import ResNetConfig
+
+    path = tmp_path_factory.mktemp("encoder")
+    ResNetConfig(hidden_sizes=[8, 16, 24, 32], depths=[1, 1, 1, 1], embedding_size=8, layer_type="basic").save_pretrained(path)
+    return str(path)
+
+
+@pytest.fixture
+def profile_of(encoder, tmp_path):
+    """A profile for tiny trainings, with changes like `training={"workers": 1}` or `stage={"epochs": 3}`."""
+
+    def make(training=None, stage=None, loss=None, augmentation=None):
+        settings = {"workers": 0, "precision": "float32", "checkpoint_every": 2, "log_every": 1} | (training or {})
+        values = {
+            "about": "a test",
+            "data": {"source": "kitti", "train_drives": [DRIVE], "hr_size": [192, 192]},
+            "training": {"encoder": encoder, "pretrained": False, **settings}
+            | {"lr": {"epochs": 2, "batch_size": 1} | (stage or {}), "loss": loss or {}, "augmentation": augmentation or {}},
+        }
+        path = tmp_path / "own.yaml"
+        path.write_text(json.dumps(values))  # JSON is YAML
+        return load_profile(str(path))
+
+    return make
+
+
+@pytest.fixture
+def triplets(kitti_root, tmp_path):
+    """Three triplets of five frames."""
+    path = tmp_path / "triplets.csv"
+    write_targets(path, kitti_root, drive_triplets(kitti_root, [DRIVE]))
+    return load_triplets(path, kitti_root)
+
+
+@pytest.fixture
+def run(profile_of, triplets, tmp_path):
+    def call(folder="run", make_model=LRStage, profile=None, seed=0, recipe="r", given=None):
+        profile = profile or profile_of()
+        path = train(make_model, profile.training.lr, profile, given or triplets, tmp_path / folder, seed=seed, recipe=recipe, card={"is": "x"})
+        assert path == tmp_path / folder / "model.safetensors"
+        return load_file(path)
+
+    return call
+
+
+def at_forward(number, event):
+    """A stage that calls `event(output)` on its forward with this number, and gives what that returns."""
+
+    class Stage(LRStage):
+        calls = 0
+
+        def forward(self, batch):
+            output = super().forward(batch)
+            Stage.calls += 1
+            return (event(output) or output) if Stage.calls == number else output
+
+    return Stage
+
+
+def equal(a, b):
+    return a.keys() == b.keys() and all(torch.equal(v, b[k]) for k, v in a.items())
+
+
+def kill_softly(_):
+    os.kill(os.getpid(), signal.SIGTERM)
+
+
+def kill(_):
+    raise KeyboardInterrupt
+
+
+@pytest.mark.slow
+def test_it_learns_one_triplet(run, profile_of, triplets, tmp_path):
+    profile = profile_of(
+        training={"log_every": 60, "checkpoint_every": 1000},
+        stage={"epochs": 60, "learning_rates": [[1, 1e-3]]},
+        augmentation={"max_scale": 1.0},
+    )
+    run(profile=profile, given=triplets[1:2])
+    log = read_log(tmp_path / "run/log.csv")
+    first, last = log.iloc[0], log.iloc[-1]
+    assert list(log["step"]) == [1, 60]
+    assert last["photometric"] < 0.5 * first["photometric"]
+    assert last["loss"] < first["loss"]
+    assert last["valid_share"] > 0.8  # not by looking away
+
+
+def test_two_runs_with_one_seed_are_equal_to_the_bit_and_another_seed_is_not(run, profile_of, tmp_path):
+    first, second = run("a"), run("b", profile=profile_of(training={"workers": 1}))
+    assert equal(first, second)
+    assert (tmp_path / "a/model.safetensors").read_bytes() == (tmp_path / "b/model.safetensors").read_bytes()
+    assert not equal(first, run("c", seed=1))
+
+
+@pytest.mark.parametrize("number", [1, 3, 4, STEPS])
+def test_a_run_that_was_told_to_stop_goes_on_to_the_same_weights(run, tmp_path, number):
+    whole = run("whole")
+    with pytest.raises(SystemExit, match=f"stopped at step {number} of {STEPS}"):
+        run("cut", make_model=at_forward(number, kill_softly))
+    assert load_checkpoint(tmp_path / "cut/checkpoint.pt")["step"] == number
+    assert equal(run("cut"), whole)
+
+
+def test_a_killed_run_goes_on_from_its_last_checkpoint_to_the_same_weights_and_log(run, tmp_path):
+    whole = run("whole")
+    with pytest.raises(KeyboardInterrupt):
+        run("cut", make_model=at_forward(4, kill))
+    assert load_checkpoint(tmp_path / "cut/checkpoint.pt")["step"] == 2
+    assert list(read_log(tmp_path / "cut/log.csv")["step"]) == [1, 2, 3]
+    assert equal(run("cut"), whole)
+    logs = [read_log(tmp_path / name / "log.csv").drop(columns="steps_per_second") for name in ("cut", "whole")]
+    pd.testing.assert_frame_equal(*logs)
+    assert list(logs[0]["step"]) == list(range(1, STEPS + 1))
+    card = json.loads((tmp_path / "cut/model.json").read_text())
+    assert card["resumed_at"] == 2
+
+
+def test_a_checkpoint_of_another_recipe_is_not_resumed(run, tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        run("cut", make_model=at_forward(3, kill_softly), recipe="old", seed=5)
+    weights = run("cut", recipe="new")
+    assert "settings or code changed since the checkpoint of step 3; training from the start" in capsys.readouterr().out
+    assert equal(weights, run("whole"))
+    assert json.loads((tmp_path / "cut/model.json").read_text())["resumed_at"] == 0
+
+
+def test_a_finished_run_leaves_weights_with_their_card_a_log_and_a_picture(run, tmp_path):
+    run()
+    folder = tmp_path / "run"
+    card = json.loads((folder / "model.json").read_text())
+    assert {k: card[k] for k in ("is", "seed", "recipe", "steps", "resumed_at")} == {
+        "is": "x",
+        "seed": 0,
+        "recipe": "r",
+        "steps": STEPS,
+        "resumed_at": 0,
+    }
+    assert not (folder / "checkpoint.pt").exists()
+    assert (folder / f"panels/step_{STEPS:07d}.png").stat().st_size > 1000
+    assert list((folder / "tensorboard").iterdir())
+    log = read_log(folder / "log.csv")
+    assert list(log["step"]) == list(range(1, STEPS + 1))
+    # 6 steps stretch the paper's 40 epochs: 1.5 steps each at the first two rates
+    assert log["learning_rate"].tolist() == [2e-4, 2e-4, 1e-4, 5e-5, 5e-5, 5e-5]
+
+
+@pytest.mark.parametrize("number", [1, 4])
+def test_a_loss_that_is_not_finite_stops_with_the_names_of_the_frames(run, number, tmp_path):
+    def break_loss(output):
+        return output._replace(losses=output.losses._replace(total=output.losses.total * torch.nan))
+
+    with pytest.raises(InputError, match=rf"run: loss is nan at step {number}, frames {DRIVE}/image_02/000000000[123]") as error:
+        run(make_model=at_forward(number, break_loss))
+    assert "\n" not in str(error.value)
+    assert not (tmp_path / "run/model.safetensors").exists()
+
+
+def test_weights_that_are_not_finite_do_not_replace_the_last_good_checkpoint(run, tmp_path):
+    """A finite loss can have an infinite gradient; the loss shows it only one step later."""
+
+    def break_gradient(output):
+        total = output.losses.total
+        total.register_hook(lambda gradient: gradient * torch.nan)
+        return output._replace(losses=output.losses._replace(total=total))
+
+    with pytest.raises(InputError, match="loss is nan at step 4"):
+        run(make_model=at_forward(3, break_gradient))
+    saved = load_checkpoint(tmp_path / "run/checkpoint.pt")
+    assert all(v.isfinite().all() for v in saved["model"].values())
+    assert saved["step"] == 2
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_a_bad_image_stops_the_training_in_one_line_that_names_it(run, profile_of, kitti_root, workers, tmp_path):
+    path = kitti_root / DRIVE / "image_02/data/0000000004.png"
+    path.write_bytes(path.read_bytes()[:500])
+    with pytest.raises(InputError, match=r"^\S*0000000004\.png: truncated \(500 bytes\); copy or download it again$"):
+        run(profile=profile_of(training={"workers": workers}))
+    assert not (tmp_path / "run/model.safetensors").exists()
+
+
+def test_too_few_triplets_are_an_error(run, profile_of):
+    with pytest.raises(InputError, match="3 training triplets are fewer than a batch of 4"):
+        run(profile=profile_of(stage={"batch_size": 4}))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"training": {"precision": "bf16"}},
+        {"training": {"channels_last": False}},
+        {"training": {"accumulate": 2}, "stage": {"batch_size": 2}},
+        {"loss": {"feature": 0}},
+        {"loss": {"scales": 1}},
+        {"loss": {"beyond_paper_automask": True}},
+        {"augmentation": {"augment_first": False}},
+        {"augmentation": {"beyond_paper_flip": True}},
+    ],
+    ids=str,
+)
+def test_every_switch_trains_and_shapes_the_weights(run, profile_of, changes):
+    plain = {"stage": {"batch_size": changes.get("stage", {}).get("batch_size", 1), "max_steps": 2}}
+    weights = run("switched", profile=profile_of(**changes | plain))
+    assert all(value.isfinite().all() for value in weights.values())
+    if "channels_last" not in str(changes):
+        AcceleratorState._reset_state(reset_partial_state=True)
+        assert not equal(weights, run("plain", profile=profile_of(**plain)))
+
+
+def test_the_signal_handler_before_a_training_is_there_again_after_it(run, profile_of):
+    before = signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    try:
+        run(profile=profile_of(stage={"max_steps": 1}))
+        assert signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def test_steps_of_a_batch_that_is_cut_in_parts_average_the_parts(profile_of, triplets, tmp_path):
+    """Gradients of the parts are averaged, not added: else the step would grow with `accumulate`."""
+    seen = []
+
+    class Watched(LRStage):
+        def __init__(self, profile):
+            super().__init__(profile)
+            self.pose_net.layers[-1].bias.register_post_accumulate_grad_hook(lambda p: seen.append(p.grad.clone()))
+
+        def forward(self, batch):
+            output = super().forward(batch)
+            bias = self.pose_net.layers[-1].bias.sum()
+            return output._replace(losses=output.losses._replace(total=bias))  # gradient 1, whatever the batch
+
+    for accumulate in (1, 3):
+        profile = profile_of(training={"accumulate": accumulate}, stage={"batch_size": 3, "max_steps": 1})
+        folder = tmp_path / f"run{accumulate}"
+        train(Watched, profile.training.lr, profile, triplets, folder, seed=0, recipe="r", card={})
+    assert torch.allclose(seen[-1], seen[0])
+    assert torch.allclose(seen[0], torch.ones(12))
+    assert len(seen) == 4
+
+
+def test_the_loop_is_not_slowed_by_what_it_writes(run, tmp_path):
+    began = time.perf_counter()
+    run()
+    assert time.perf_counter() - began < 60
