@@ -37,6 +37,7 @@ class World(Settings):
     supersample: int = Field(3, ge=1)
     """Rays per pixel side: the anti-aliasing that lets a full-resolution image hold more than its small copy."""
     train_drives: int = Field(3, ge=1)
+    """Training drives, each in a street of its own."""
     frames_per_drive: int = Field(40, ge=3)
     """Frames of a training drive, consecutive."""
     frame_spacing: float = Field(1.05, gt=0)
@@ -48,6 +49,7 @@ class World(Settings):
     azimuth_step: float = Field(0.35, gt=0)
     """Degrees between the laser's firings; KITTI's 0.17 at half the width."""
     test_drives: int = Field(2, ge=1)
+    """Scored drives, each in a street of its own."""
     test_frames: int = Field(8, ge=1)
     """Scored frames a test drive; only they are rendered."""
     test_step: int = Field(5, ge=1)
@@ -61,6 +63,7 @@ class World(Settings):
     odometry_spacing: float = Field(2.5, gt=0)
     """Mean metres between odometry frames: a fast car, so that 250 m need few frames."""
     make3d_images: int = Field(3, ge=0)
+    """Upright photos with a laser grid."""
     make3d_size: Size = (568, 426)
     """Size of the photos, a quarter of Make3D's 2272x1704."""
 

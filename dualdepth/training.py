@@ -106,22 +106,27 @@ def train(
             inner = accelerator.unwrap_model(model)
             save_checkpoint(folder / "checkpoint.pt", recipe=recipe, step=step, model=inner, optimizer=optimizer)
 
+    def check_finite(what: str, value: torch.Tensor, step: int, names: Sequence[str]) -> None:
+        if not torch.isfinite(value):
+            save(step - 1)
+            raise InputError(f"{folder}: {what} is {value.item()} at step {step}, frames {', '.join(names)}")
+
     with bar, _StopRequested() as stop:
         parts = _one_line_errors(loader)
         for step in range(start + 1, total + 1):
             for group in optimizer.param_groups:
                 group["lr"] = learning_rate(stage, step - 1, total)
             optimizer.zero_grad()
+            names: list[str] = []
             for part in range(settings.accumulate):
                 batch = {k: v.to(accelerator.device) if torch.is_tensor(v) else v for k, v in next(parts).items()}
+                names += batch["name"]
                 with contextlib.nullcontext() if part == settings.accumulate - 1 else accelerator.no_sync(model):
                     output = model(batch)
-                    if not torch.isfinite(output.losses.total):
-                        save(step - 1)
-                        raise InputError(
-                            f"{folder}: loss is {output.losses.total.item()} at step {step}, frames {', '.join(batch['name'])}"
-                        )
+                    check_finite("loss", output.losses.total, step, names)
                     accelerator.backward(output.losses.total / settings.accumulate)
+            # a finite loss can have an infinite gradient; caught here, it has not reached the weights
+            check_finite("gradient", torch.nn.utils.get_total_norm(p.grad for p in trained if p.grad is not None), step, names)
             optimizer.step()
             bar.update()
             if log and (step % settings.log_every == 0 or step == 1 or step == total):

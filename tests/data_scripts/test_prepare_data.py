@@ -1,0 +1,145 @@
+"""From a folder of KITTI frames to triplets, frames to score and ground truth; and what a user is told when something is missing."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest_frames import write_scan
+
+from data_scripts import prepare_data
+from dualdepth.cli import main as command
+from dualdepth.data.depth_maps import load_ground_truth
+from dualdepth.errors import InputError
+from dualdepth.results import Run, project_root
+
+SHARED = project_root().parent / "shared" / "data"
+needs_kitti = pytest.mark.skipif(not SHARED.is_dir(), reason="real KITTI frames (../shared/data) are not here")
+
+TRAIN, TEST = "2011_09_26/2011_09_26_drive_0001_sync", "2011_09_26/2011_09_26_drive_0002_sync"
+
+
+@pytest.fixture
+def project(tmp_path, kitti_factory):
+    """A project folder with its own profile, and a KITTI root with a training and a test drive."""
+    root = tmp_path / "project"
+    (root / "notebooks").mkdir(parents=True)
+    (root / "Snakefile").touch()
+    kitti = kitti_factory({TRAIN: range(6), TEST: range(3)})
+    write_scan(kitti, TEST, 0)
+    write_scan(kitti, TEST, 2)
+    test_list = tmp_path / "test.txt"
+    test_list.write_text(f"{TEST} 0000000000 l\n{TEST} 0000000002 l\n")
+    profile = tmp_path / "own.yaml"
+    profile.write_text(f"about: a test\ndata: {{source: kitti, train_drives: [{TRAIN}], test_list: {test_list}}}\n")
+    return Run(str(profile), root), kitti, test_list
+
+
+def prepared(project):
+    run, kitti, _ = project
+    prepare_data.find_data(run, str(kitti))
+    return prepare_data.prepare(run)
+
+
+def test_it_counts_triplets_and_frames_to_score(project):
+    assert prepared(project) == (4, 2, 2, 0)
+
+
+def test_ground_truth_is_in_the_order_of_the_list(project):
+    run, _, _ = project
+    prepared(project)
+    maps = load_ground_truth(run.prepared / "ground_truth.npz")
+    frames = json.loads((run.prepared / "test_frames.json").read_text())["frames"]
+    assert [frame[1] for frame in frames] == [0, 2]
+    assert len(maps) == 2 and all((depth > 0).any() for depth in maps)
+
+
+def test_training_frames_with_a_scan_fit_the_baselines(project):
+    run, kitti, _ = project
+    write_scan(kitti, TRAIN, 2)
+    assert prepared(project).baseline == 1
+    assert len(load_ground_truth(run.prepared / "baseline_truth.npz")) == 1
+
+
+def test_frames_to_score_that_are_missing_are_all_named_in_one_line(project):
+    run, kitti, test_list = project
+    test_list.write_text(test_list.read_text() + f"{TEST} 0000000007 l\n{TEST} 0000000008 l\n")
+    with pytest.raises(InputError, match="2 frames to score are missing.*0000000007.*0000000008"):
+        prepared(project)
+    assert not (run.prepared / "ground_truth.npz").exists()
+
+
+def test_an_incomplete_list_can_be_allowed_and_is_counted(project):
+    run, kitti, test_list = project
+    test_list.write_text(test_list.read_text() + f"{TEST} 0000000007 l\n")
+    data = run.profile.data.model_copy(update={"allow_missing": True})
+    run.profile = run.profile.model_copy(update={"data": data})
+    done = prepared(project)
+    assert (done.scored, done.listed) == (2, 3)
+
+
+def test_a_drive_cannot_be_both_trained_on_and_scored(project):
+    _, _, test_list = project
+    test_list.write_text(f"{TRAIN} 0000000001 l\n")
+    with pytest.raises(InputError, match=f"drives {TRAIN} are both trained on and scored"):
+        prepared(project)
+
+
+def test_a_drive_without_frames_is_named(project):
+    run, kitti, _ = project
+    for frame in (kitti / TRAIN / "image_02" / "data").iterdir():
+        frame.unlink()
+    with pytest.raises(InputError, match=f"no frames in .* of 1 drives: {TRAIN}"):
+        prepared(project)
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "said"),
+    [
+        ("--kitti-root", "nowhere", "KITTI_ROOT nowhere is not a folder"),
+        ("--kitti-root", ".", "holds no 2011"),
+        ("--profile", "mini", "profile 'mini' not found: choose one of miniature"),
+        ("--test-list", "nowhere.txt", "nowhere.txt: cannot read the list"),
+        ("--seeds", "0;1", "seeds '0;1': give whole numbers between commas"),
+    ],
+)
+def test_reproduce_refuses_bad_arguments_in_one_line(option, value, said, capsys, monkeypatch):
+    with pytest.raises(SystemExit) as stopped:
+        command(["reproduce", option, value])
+    error = capsys.readouterr().err
+    assert stopped.value.code == 2
+    assert error.startswith("error: ") and said in error and error.count("\n") == 1
+
+
+def test_a_world_has_no_use_for_a_kitti_root(tmp_path):
+    root = tmp_path / "project"
+    (root / "notebooks").mkdir(parents=True)
+    (root / "Snakefile").touch()
+    with pytest.raises(InputError, match="profile tiny makes its own data"):
+        prepare_data.find_data(Run("tiny", root), kitti_root="somewhere")
+
+
+@needs_kitti
+def test_the_sample_profile_on_real_frames(tmp_path):
+    root = tmp_path / "project"
+    (root / "notebooks").mkdir(parents=True)
+    (root / "Snakefile").touch()
+    run = Run("sample", root)
+    prepare_data.find_data(run, str(SHARED / "kitti_raw"), str(SHARED / "splits" / "sample_val.txt"))
+    assert prepare_data.prepare(run) == (266, 28, 28, 0)
+    density = [np.mean(depth > 0) for depth in load_ground_truth(run.prepared / "ground_truth.npz")]
+    assert min(density) > 0.02
+
+
+@needs_kitti
+def test_grey_frames_are_read_where_a_drive_has_no_colour(tmp_path):
+    root = tmp_path / "project"
+    (root / "notebooks").mkdir(parents=True)
+    (root / "Snakefile").touch()
+    run = Run("sample_grey", root)
+    sources = prepare_data.find_data(run, str(SHARED / "kitti_raw"), str(SHARED / "splits" / "sample_val.txt"))
+    targets = prepare_data.training_targets(run, sources)
+    # 400 frames, of which 23 is missing: no triplet has it
+    assert sum(frame.camera == "image_00" for frame in targets) == 400 - 2 - 2
+    assert not [f for f in targets if f.camera == "image_00" and abs(f.index - 23) <= 1]
+    assert Path(sources.kitti_root).is_dir()
