@@ -6,6 +6,8 @@ export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
 export PYTHONPATH := $(CURDIR)
 # tell libraries to stay off the network unless a profile asks for weights or lists
 export HF_HUB_DISABLE_TELEMETRY := 1
+# threads that wait must sleep: spinning ones make a busy machine ten times slower
+export OMP_WAIT_POLICY := PASSIVE
 STAMP := $(VENV)/.installed
 
 .DEFAULT_GOAL := help

@@ -86,7 +86,7 @@ def make_world(world: World, out: str | Path, progress: bool = True, processes: 
             folder.mkdir(parents=True, exist_ok=True)
         for name, text in work.texts.items():
             (partial / name).write_text(text, encoding="utf-8")
-        _render(work.shots, progress, processes or len(os.sched_getaffinity(0)), str(out))
+        _render(work.shots, progress, processes or _cores())
         write_json(partial / STAMP, stamp)
         if out.exists():
             shutil.rmtree(out)
@@ -102,6 +102,11 @@ def world_digest(world: World) -> str:
     for source in (Path(__file__), *sorted((Path(__file__).parent / "miniature").glob("*.py"))):
         digest.update(source.read_bytes())
     return digest.hexdigest()
+
+
+def _cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _made(out: Path) -> str | None:
@@ -123,10 +128,9 @@ def _remove_remains(out: Path) -> None:
             continue
 
 
-def _render(shots: list, progress: bool, processes: int, name: str) -> None:
+def _render(shots: list, progress: bool, processes: int) -> None:
     """Write all shots; neighbours go to the same process, which keeps their street."""
-    bar = tqdm(total=len(shots), desc="rendering the world", unit="frame", disable=not progress)
-    with bar:
+    with tqdm(total=len(shots), desc="rendering the world", unit="frame", disable=not progress) as bar:
         if processes == 1:
             for shot in shots:
                 write_shot(shot)

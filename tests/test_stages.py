@@ -4,7 +4,9 @@ import pytest
 import torch
 from torch import nn
 
+from dualdepth import stages
 from dualdepth.config import load_profile
+from dualdepth.losses import total_loss
 from dualdepth.networks.decoder import DepthOutput
 from dualdepth.stages import LRStage
 
@@ -62,17 +64,12 @@ def test_frames_that_were_shrunk_first_are_not_shrunk_again(batch):
 
 def test_both_orders_mean_the_same_geometry(batch, monkeypatch):
     """Intrinsics given at full resolution are those of the low-resolution view times three."""
-    from dualdepth import stages
-
     asked = []
-    monkeypatch.setattr(stages, "total_loss", lambda images, matrix, *a, **k: asked.append(matrix) or original(images, matrix, *a, **k))
+    monkeypatch.setattr(stages, "total_loss", lambda images, matrix, *a, **k: asked.append(matrix) or total_loss(images, matrix, *a, **k))
     stage_of()(batch)
     assert torch.allclose(asked[0][0], torch.tensor([[40.0, 0, 31.5], [0, 40, 15.5], [0, 0, 1]]), atol=1e-5)
     stage_of(augment_first=False)(batch)
     assert torch.equal(asked[1], batch["intrinsics"])
-
-
-from dualdepth.losses import total_loss as original  # noqa: E402
 
 
 def test_the_log_has_losses_poses_and_disparities(batch):

@@ -144,7 +144,7 @@ def test_weights_that_cannot_be_had_are_a_one_line_error(tmp_path):
 def test_weights_of_another_network_are_an_error(tmp_path):
     from transformers import ResNetConfig, ResNetModel
 
-    ResNetModel(ResNetConfig(depths=[1, 1, 1, 1], hidden_sizes=[8, 8, 8, 8], embedding_size=8, layer_type="basic")).save_pretrained(tmp_path)
+    ResNetModel(ResNetConfig(depths=[1, 1, 1, 1], hidden_sizes=[16, 16, 16, 16], embedding_size=16, layer_type="basic")).save_pretrained(tmp_path)
     with pytest.raises(InputError):
         make_encoder("resnet18", pretrained=str(tmp_path))
 
