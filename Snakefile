@@ -72,7 +72,7 @@ rule train_lr:
         weights=f"{WORK}/runs/lr/seed{{seed}}/model.safetensors",
     params:
         notebook=notebook("03_train_lr"),
-        settings=run_.profile.digest("data.hr_size", "training"),
+        settings=run_.settings_digest("lr"),
         code=code_digest("train"),
     threads: ONE_AT_A_TIME
     shell:

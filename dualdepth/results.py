@@ -69,9 +69,13 @@ class Run:
         """Released weights of one training."""
         return self.training(variant, seed) / "model.safetensors"
 
+    def settings_digest(self, stage: str) -> str:
+        """Digest of the settings that shape a stage's weights; how it is logged and loaded is not among them."""
+        return self.profile.digest("data.hr_size", f"training.{stage}", *_SHAPING)
+
     def recipe(self, stage: str) -> str:
         """Digest of all that shapes a training's weights, the seed aside: settings, code, and the prepared triplets."""
-        settings = self.profile.digest("data.hr_size", f"training.{stage}", *_SHAPING)
+        settings = self.settings_digest(stage)
         triplets = hashlib.sha256((self.prepared / "triplets.csv").read_bytes()).hexdigest()
         return hashlib.sha256(f"{settings} {code_digest('train')} {triplets}".encode()).hexdigest()[:16]
 

@@ -1,6 +1,9 @@
 """A tiny KITTI-like root made on the spot: a textured wall seen by a camera that moves sideways."""
 
+import os
 from pathlib import Path
+
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before torch is loaded: spinning threads slow a busy machine tenfold
 
 import cv2
 import numpy as np
@@ -14,7 +17,9 @@ SHIFT = 6
 def wall(height, width, seed=0):
     """Smooth random texture (H, W, 3) uint8, with detail at several sizes."""
     rng = np.random.default_rng(seed)
-    octaves = [cv2.resize(rng.random((max(height // s, 2), max(width // s, 2), 3)), (width, height)) / k for k, s in enumerate((32, 16, 8), 1)]
+    octaves = [
+        cv2.resize(rng.random((max(height // s, 2), max(width // s, 2), 3)), (width, height)) / k for k, s in enumerate((32, 16, 8), 1)
+    ]
     texture = sum(octaves)
     return np.rint(255 * (texture - texture.min()) / np.ptp(texture)).astype(np.uint8)
 

@@ -98,7 +98,10 @@ def batch(size=(16, 24), seed=0, dtype=torch.float32, items=1):
         "intrinsics": k,
         "disparities": [0.5 + noise(items, 1, height >> s, width >> s, seed=seed + 1 + s, dtype=dtype) for s in range(2)],
         "poses": poses.expand(items, 2, 6),
-        "features": (noise(items, 5, height, width, seed=seed + 7, dtype=dtype), noise(items, 2, 5, height, width, seed=seed + 8, dtype=dtype)),
+        "features": (
+            noise(items, 5, height, width, seed=seed + 7, dtype=dtype),
+            noise(items, 2, 5, height, width, seed=seed + 8, dtype=dtype),
+        ),
         "weights": (1.0, 0.1, 0.01),
         "alpha": ALPHA,
         "mean_disparity": 10.0,
@@ -398,7 +401,10 @@ def test_where_no_source_sees_anything_only_smoothness_is_left():
 
 def test_bfloat16_disparities_and_features_are_compared_in_float32():
     given = batch()
-    rounded = given | {"disparities": [d.bfloat16() for d in given["disparities"]], "features": tuple(f.bfloat16() for f in given["features"])}
+    rounded = given | {
+        "disparities": [d.bfloat16() for d in given["disparities"]],
+        "features": tuple(f.bfloat16() for f in given["features"]),
+    }
     found = total_loss(**rounded)
     assert found.total.dtype == torch.float32
     widened = {"disparities": [d.float() for d in rounded["disparities"]], "features": tuple(f.float() for f in rounded["features"])}

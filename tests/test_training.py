@@ -72,7 +72,9 @@ def triplets(kitti_root, tmp_path):
 def run(profile_of, triplets, tmp_path):
     def call(folder="run", make_model=LRStage, profile=None, seed=0, recipe="r", given=None):
         profile = profile or profile_of()
-        path = train(make_model, profile.training.lr, profile, given or triplets, tmp_path / folder, seed=seed, recipe=recipe, card={"is": "x"})
+        path = train(
+            make_model, profile.training.lr, profile, given or triplets, tmp_path / folder, seed=seed, recipe=recipe, card={"is": "x"}
+        )
         assert path == tmp_path / folder / "model.safetensors"
         return load_file(path)
 

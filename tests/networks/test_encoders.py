@@ -119,7 +119,9 @@ def test_imagenet_weights_are_taken_from_a_local_folder(name, tmp_path):
 def test_the_pretrained_encoder_computes_what_its_donor_does(tmp_path):
     from transformers import ResNetConfig, ResNetForImageClassification
 
-    donor = randomised(ResNetForImageClassification(ResNetConfig(depths=[2, 2, 2, 2], hidden_sizes=[64, 128, 256, 512], layer_type="basic")))
+    donor = randomised(
+        ResNetForImageClassification(ResNetConfig(depths=[2, 2, 2, 2], hidden_sizes=[64, 128, 256, 512], layer_type="basic"))
+    )
     donor.save_pretrained(tmp_path)
     encoder = make_encoder("resnet18", pretrained=str(tmp_path)).eval()
     for module in encoder.modules():
@@ -144,7 +146,9 @@ def test_weights_that_cannot_be_had_are_a_one_line_error(tmp_path):
 def test_weights_of_another_network_are_an_error(tmp_path):
     from transformers import ResNetConfig, ResNetModel
 
-    ResNetModel(ResNetConfig(depths=[1, 1, 1, 1], hidden_sizes=[16, 16, 16, 16], embedding_size=16, layer_type="basic")).save_pretrained(tmp_path)
+    ResNetModel(ResNetConfig(depths=[1, 1, 1, 1], hidden_sizes=[16, 16, 16, 16], embedding_size=16, layer_type="basic")).save_pretrained(
+        tmp_path
+    )
     with pytest.raises(InputError):
         make_encoder("resnet18", pretrained=str(tmp_path))
 
