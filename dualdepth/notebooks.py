@@ -12,7 +12,6 @@ from dualdepth.atomic import atomic_path
 from dualdepth.errors import InputError
 from dualdepth.results import project_root
 
-
 NOT_SHOWN = ("Executing", "Ending", "Input", "Output", "Working directory", "<", "\n")
 """What papermill says of its own, and the text form of pictures and tables, which nobody reads in a terminal."""
 KERNEL_LOG = "--IPKernelApp.log_level=50"

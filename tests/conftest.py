@@ -49,3 +49,33 @@ def kitti_root(tmp_path):
     write_calibration(root)
     write_drive(root, range(5))
     return root
+
+
+@pytest.fixture
+def kitti_factory(tmp_path):
+    """Makes a root with drives and their frame numbers, and the calibration of a laser that looks along the camera."""
+
+    def make(drives):
+        root = tmp_path / "kitti"
+        write_calibration(root)
+        camera = root / "2011_09_26" / "calib_cam_to_cam.txt"
+        camera.write_text(camera.read_text() + "R_rect_00: 1 0 0 0 1 0 0 0 1\nS_rect_02: 208 208\n")
+        (root / "2011_09_26" / "calib_velo_to_cam.txt").write_text("R: 0 -1 0 0 0 -1 1 0 0\nT: 0 0 -0.27\n")
+        for drive, frames in drives.items():
+            write_drive(root, frames, drive)
+        return root
+
+    return make
+
+
+@pytest.fixture
+def write_scan():
+    """Writes a scan of a wall 12 m ahead for a frame."""
+
+    def write(root, drive, index):
+        path = Path(root) / drive / "velodyne_points" / "data" / f"{index:010d}.bin"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        left, up = np.meshgrid(np.linspace(-5, 5, 40), np.linspace(-5, 5, 40))
+        np.stack([np.full(left.size, 12.0), left.ravel(), up.ravel(), np.ones(left.size)], 1).astype(np.float32).tofile(path)
+
+    return write

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest_frames import write_scan
 
 from data_scripts import prepare_data
 from dualdepth.cli import main as command
@@ -20,7 +19,7 @@ TRAIN, TEST = "2011_09_26/2011_09_26_drive_0001_sync", "2011_09_26/2011_09_26_dr
 
 
 @pytest.fixture
-def project(tmp_path, kitti_factory):
+def project(tmp_path, kitti_factory, write_scan):
     """A project folder with its own profile, and a KITTI root with a training and a test drive."""
     root = tmp_path / "project"
     (root / "notebooks").mkdir(parents=True)
@@ -54,7 +53,7 @@ def test_ground_truth_is_in_the_order_of_the_list(project):
     assert len(maps) == 2 and all((depth > 0).any() for depth in maps)
 
 
-def test_training_frames_with_a_scan_fit_the_baselines(project):
+def test_training_frames_with_a_scan_fit_the_baselines(project, write_scan):
     run, kitti, _ = project
     write_scan(kitti, TRAIN, 2)
     assert prepared(project).baseline == 1
@@ -62,15 +61,15 @@ def test_training_frames_with_a_scan_fit_the_baselines(project):
 
 
 def test_frames_to_score_that_are_missing_are_all_named_in_one_line(project):
-    run, kitti, test_list = project
+    run, _kitti, test_list = project
     test_list.write_text(test_list.read_text() + f"{TEST} 0000000007 l\n{TEST} 0000000008 l\n")
-    with pytest.raises(InputError, match="2 frames to score are missing.*0000000007.*0000000008"):
+    with pytest.raises(InputError, match=r"2 frames to score are missing.*0000000007.*0000000008"):
         prepared(project)
     assert not (run.prepared / "ground_truth.npz").exists()
 
 
 def test_an_incomplete_list_can_be_allowed_and_is_counted(project):
-    run, kitti, test_list = project
+    run, _kitti, test_list = project
     test_list.write_text(test_list.read_text() + f"{TEST} 0000000007 l\n")
     data = run.profile.data.model_copy(update={"allow_missing": True})
     run.profile = run.profile.model_copy(update={"data": data})
@@ -81,12 +80,12 @@ def test_an_incomplete_list_can_be_allowed_and_is_counted(project):
 def test_a_drive_cannot_be_both_trained_on_and_scored(project):
     _, _, test_list = project
     test_list.write_text(f"{TRAIN} 0000000001 l\n")
-    with pytest.raises(InputError, match=f"drives {TRAIN} are both trained on and scored"):
+    with pytest.raises(InputError, match=rf"drives {TRAIN} are both trained on and scored"):
         prepared(project)
 
 
 def test_a_drive_without_frames_is_named(project):
-    run, kitti, _ = project
+    _run, kitti, _ = project
     for frame in (kitti / TRAIN / "image_02" / "data").iterdir():
         frame.unlink()
     with pytest.raises(InputError, match=f"no frames in .* of 1 drives: {TRAIN}"):
