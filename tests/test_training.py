@@ -8,8 +8,8 @@ import pandas as pd
 import pytest
 import torch
 from accelerate.state import AcceleratorState
-from conftest import DRIVE
 from safetensors.torch import load_file
+from small_kitti import DRIVE
 
 from dualdepth.checkpoints import load_checkpoint
 from dualdepth.config import load_profile
@@ -20,6 +20,8 @@ from dualdepth.training import train
 from dualdepth.training_log import read_log
 
 STEPS = 6
+WIDE = (192, 288)
+"""For bfloat16: at 192×192 PoseNet's last map is 1×1, where the CPU leaves the gradient of padded weights unset."""
 
 
 @pytest.fixture(autouse=True)
@@ -45,11 +47,11 @@ def encoder(tmp_path_factory):
 def profile_of(encoder, tmp_path):
     """A profile for tiny trainings, with changes like `training={"workers": 1}` or `stage={"epochs": 3}`."""
 
-    def make(training=None, stage=None, loss=None, augmentation=None):
+    def make(training=None, stage=None, loss=None, augmentation=None, hr_size=(192, 192)):
         settings = {"workers": 0, "precision": "float32", "checkpoint_every": 2, "log_every": 1} | (training or {})
         values = {
             "about": "a test",
-            "data": {"source": "kitti", "train_drives": [DRIVE], "hr_size": [192, 192]},
+            "data": {"source": "kitti", "train_drives": [DRIVE], "hr_size": hr_size},
             "training": {"encoder": encoder, "pretrained": False, **settings}
             | {"lr": {"epochs": 2, "batch_size": 1} | (stage or {}), "loss": loss or {}, "augmentation": augmentation or {}},
         }
@@ -110,24 +112,29 @@ def kill(_):
 @pytest.mark.slow
 def test_it_learns_one_triplet(run, profile_of, triplets, tmp_path):
     profile = profile_of(
-        training={"log_every": 60, "checkpoint_every": 1000},
-        stage={"epochs": 60, "learning_rates": [[1, 1e-3]]},
+        training={"log_every": 25, "checkpoint_every": 1000},
+        stage={"epochs": 25, "learning_rates": [[1, 1e-3]]},
         augmentation={"max_scale": 1.0},
     )
     run(profile=profile, given=triplets[1:2])
     log = read_log(tmp_path / "run/log.csv")
     first, last = log.iloc[0], log.iloc[-1]
-    assert list(log["step"]) == [1, 60]
+    assert list(log["step"]) == [1, 25]
     assert last["photometric"] < 0.5 * first["photometric"]
     assert last["loss"] < first["loss"]
     assert last["valid_share"] > 0.8  # not by looking away
 
 
-def test_two_runs_with_one_seed_are_equal_to_the_bit_and_another_seed_is_not(run, profile_of, tmp_path):
-    first, second = run("a"), run("b", profile=profile_of(training={"workers": 1}))
+@pytest.mark.slow
+@pytest.mark.parametrize("precision", ["float32", "bf16"])
+def test_two_runs_with_one_seed_are_equal_to_the_bit_and_another_seed_is_not(run, profile_of, tmp_path, precision):
+    def profile(workers):
+        return profile_of(training={"precision": precision, "workers": workers}, hr_size=WIDE)
+
+    first, second = run("a", profile=profile(0)), run("b", profile=profile(1))
     assert equal(first, second)
     assert (tmp_path / "a/model.safetensors").read_bytes() == (tmp_path / "b/model.safetensors").read_bytes()
-    assert not equal(first, run("c", seed=1))
+    assert not equal(first, run("c", profile=profile(0), seed=1))
 
 
 @pytest.mark.parametrize("number", [1, 3, 4, STEPS])
@@ -225,7 +232,7 @@ def test_too_few_triplets_are_an_error(run, profile_of):
 @pytest.mark.parametrize(
     "changes",
     [
-        {"training": {"precision": "bf16"}},
+        {"training": {"precision": "bf16"}, "hr_size": WIDE},
         {"training": {"channels_last": False}},
         {"training": {"accumulate": 2}, "stage": {"batch_size": 2}},
         {"loss": {"feature": 0}},
@@ -237,7 +244,7 @@ def test_too_few_triplets_are_an_error(run, profile_of):
     ids=str,
 )
 def test_every_switch_trains_and_shapes_the_weights(run, profile_of, changes):
-    plain = {"stage": {"batch_size": changes.get("stage", {}).get("batch_size", 1), "max_steps": 2}}
+    plain = {"stage": {"max_steps": 2} | changes.get("stage", {}), "hr_size": changes.get("hr_size", (192, 192))}
     weights = run("switched", profile=profile_of(**changes | plain))
     assert all(value.isfinite().all() for value in weights.values())
     if "channels_last" not in str(changes):

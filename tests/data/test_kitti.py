@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from conftest import DRIVE, wall, write_calibration, write_drive
+from small_kitti import DRIVE, wall, write_calibration, write_drive
 
 from dualdepth.data.kitti import (
     Frame,

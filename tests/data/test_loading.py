@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from conftest import DRIVE, write_drive
+from small_kitti import DRIVE, write_drive
 
 from dualdepth.config import Augmentation
 from dualdepth.data.kitti import read_image

@@ -1,7 +1,7 @@
 """Which frames are trained on: consecutive, moving, of no test drive."""
 
 import pytest
-from conftest import DRIVE, write_calibration, write_drive
+from small_kitti import DRIVE, write_calibration, write_drive
 
 from dualdepth.data.kitti import Frame, image_path
 from dualdepth.data.triplets import drive_triplets, load_triplets, missing_neighbours, name_missing, read_targets, write_targets

@@ -144,13 +144,15 @@ def test_weights_that_cannot_be_had_are_a_one_line_error(tmp_path):
 
 
 def test_weights_of_another_network_are_an_error(tmp_path):
-    from transformers import ResNetConfig, ResNetModel
+    """Else the encoder would silently keep its random weights."""
+    from transformers import ResNetConfig, ResNetModel, SwinForImageClassification
 
-    ResNetModel(ResNetConfig(depths=[1, 1, 1, 1], hidden_sizes=[16, 16, 16, 16], embedding_size=16, layer_type="basic")).save_pretrained(
-        tmp_path
-    )
-    with pytest.raises(InputError):
-        make_encoder("resnet18", pretrained=str(tmp_path))
+    narrow = ResNetConfig(depths=[2, 2, 2, 2], hidden_sizes=[8, 8, 8, 8], embedding_size=8, layer_type="basic")
+    ResNetModel(narrow).save_pretrained(tmp_path / "narrow")
+    SwinForImageClassification(tiny_config("swin")).save_pretrained(tmp_path / "swin")
+    for folder, encoder in (("narrow", "resnet18"), ("swin", "resnet18"), ("narrow", "mobilenet_v2")):
+        with pytest.raises(InputError, match=folder):
+            make_encoder(encoder, pretrained=str(tmp_path / folder))
 
 
 def tiny_config(kind):

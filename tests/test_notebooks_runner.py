@@ -1,0 +1,94 @@
+"""Running a notebook: checked parameters, an executed copy that is whole or absent."""
+
+import nbformat
+import pytest
+
+from dualdepth.cli import main
+from dualdepth.errors import InputError
+from dualdepth.notebooks import run_notebook
+
+
+def write_notebook(path, *cells):
+    """A notebook whose first cell holds the parameters `profile` and `seed`."""
+    parameters = nbformat.v4.new_code_cell('profile = "tiny"\nseed = 0', metadata={"tags": ["parameters"]})
+    notebook = nbformat.v4.new_notebook(cells=[parameters, *(nbformat.v4.new_code_cell(c) for c in cells)])
+    notebook.metadata["kernelspec"] = {"name": "python3", "display_name": "Python 3", "language": "python"}
+    nbformat.write(notebook, path)
+
+
+@pytest.fixture
+def project(tmp_path, monkeypatch):
+    """A root with one notebook and without anything else."""
+    (tmp_path / "notebooks").mkdir()
+    (tmp_path / "Snakefile").touch()
+    write_notebook(tmp_path / "notebooks/00_sum.ipynb", "print(profile, seed + 1)")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.slow
+def test_an_executed_copy_shows_what_its_parameters_gave(project, capsys):
+    bar = 'import sys\n_ = sys.stderr.write("0%\\r50%\\r100%\\n")'
+    write_notebook(project / "notebooks/00_sum.ipynb", "import os\nprint(profile, seed + 1, os.getcwd())", bar)
+    source = (project / "notebooks/00_sum.ipynb").read_bytes()
+    out = run_notebook("00_sum", "results/00_sum.ipynb", {"profile": "own", "seed": 41})
+    executed = nbformat.read(out, as_version=4)
+    texts = [o.text for cell in executed.cells for o in cell.outputs]
+    assert texts == [f"own 42 {project}\n", "100%\n"]  # run at the root; of a progress bar only its end is kept
+    assert all(cell.execution_count for cell in executed.cells)
+    assert (project / "notebooks/00_sum.ipynb").read_bytes() == source
+    assert [p.name for p in (project / "results").iterdir()] == ["00_sum.ipynb"]
+    assert "own 42" in capsys.readouterr().err  # shown while it runs
+
+
+@pytest.mark.slow
+def test_a_failing_notebook_leaves_a_copy_to_look_at_and_no_result(project):
+    write_notebook(project / "notebooks/00_sum.ipynb", "print('before')", "1 / 0", "print('after')")
+    with pytest.raises(RuntimeError, match=r"00_sum\.ipynb failed in cell \d: ZeroDivisionError: .*; see .*00_sum\.failed\.ipynb"):
+        run_notebook("00_sum", "results/00_sum.ipynb", {})
+    assert [p.name for p in (project / "results").iterdir()] == ["00_sum.failed.ipynb"]
+    text = (project / "results/00_sum.failed.ipynb").read_text()
+    assert "before" in text
+    assert "ZeroDivisionError" in text
+
+
+@pytest.mark.slow
+def test_a_failure_keeps_the_result_before_it_and_a_success_removes_the_failed_copy(project):
+    (project / "results").mkdir()
+    (project / "results/00_sum.ipynb").write_text("of yesterday")
+    write_notebook(project / "notebooks/00_sum.ipynb", "1 / 0")
+    with pytest.raises(RuntimeError):
+        run_notebook("00_sum", "results/00_sum.ipynb", {})
+    assert (project / "results/00_sum.ipynb").read_text() == "of yesterday"
+    write_notebook(project / "notebooks/00_sum.ipynb", "print(seed)")
+    run_notebook("00_sum", "results/00_sum.ipynb", {})
+    assert [p.name for p in (project / "results").iterdir()] == ["00_sum.ipynb"]
+
+
+@pytest.mark.slow
+def test_a_users_mistake_inside_a_notebook_is_one_line_outside(project, capsys):
+    mistake = 'from dualdepth.errors import InputError\nraise InputError("KITTI_ROOT nowhere is not a folder")'
+    write_notebook(project / "notebooks/00_sum.ipynb", mistake)
+    with pytest.raises(SystemExit) as stopped:
+        main(["notebook", "00_sum", "--out", "results/00_sum.ipynb"])
+    assert stopped.value.code == 2
+    assert capsys.readouterr().err.strip().splitlines()[-1] == "error: KITTI_ROOT nowhere is not a folder"
+    assert not (project / "results/00_sum.ipynb").exists()
+
+
+def test_an_unknown_parameter_is_an_error_that_names_those_there_are(project):
+    with pytest.raises(InputError, match=r"00_sum\.ipynb: unknown parameter sede; it has profile, seed"):
+        run_notebook("00_sum", "results/00_sum.ipynb", {"sede": 1})
+    assert not (project / "results").exists()
+
+
+def test_an_unknown_notebook_names_those_there_are(project):
+    with pytest.raises(InputError, match="notebook '07_none' not found; there are 00_sum"):
+        run_notebook("07_none", "results/07_none.ipynb", {})
+
+
+def test_a_parameter_without_a_value_is_a_users_mistake(project, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        main(["notebook", "00_sum", "--out", "results/00_sum.ipynb", "--set", "seed"])
+    assert stopped.value.code == 2
+    assert capsys.readouterr().err == "error: parameter 'seed' is not KEY=VALUE\n"
