@@ -4,7 +4,6 @@ PYTHON ?= python3.11
 VENV := .venv
 export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
 export PYTHONPATH := $(CURDIR)
-# tell libraries to stay off the network unless a profile asks for weights or lists
 export HF_HUB_DISABLE_TELEMETRY := 1
 # threads that wait must sleep: spinning ones make a busy machine ten times slower
 export OMP_WAIT_POLICY := PASSIVE
@@ -30,6 +29,7 @@ reproduce: env ## run every notebook of a profile: data, training, tables, figur
 test: env lint ## lint, unit tests, notebooks against their stored outputs
 	pytest
 	pytest --nbval $(NOTEBOOKS)
+	@echo "all tests passed; the notebooks' data and weights are in work/tiny, tables and figures in results/tiny"
 
 NOTEBOOKS = $(sort $(wildcard notebooks/*.ipynb))
 
@@ -46,7 +46,8 @@ bench: env ## speed of loader, training step, inference
 lock: ## make environment.lock from pyproject.toml
 	rm -rf work/lock && $(PYTHON) -m venv work/lock
 	work/lock/bin/python -m pip install --quiet --upgrade 'setuptools>=77' '.[notebooks,dev]'
-	work/lock/bin/python -m pip freeze --all --exclude pip --exclude dualdepth | grep -viE '^(nvidia|triton|cuda)' | sed 's/+cpu$$//' > environment.lock
+	work/lock/bin/python -m pip freeze --all --exclude pip --exclude dualdepth | grep -viE '^(nvidia|triton|cuda)' | sed 's/+cpu$$//' > work/environment.lock
+	grep -q '^torch==' work/environment.lock && mv work/environment.lock environment.lock
 	rm -rf work/lock build
 
 notebooks: env ## store the executed tiny notebooks as the committed ones
@@ -55,5 +56,5 @@ notebooks: env ## store the executed tiny notebooks as the committed ones
 publish: env ## copy a profile's tables and figures to results/published
 	python -m dualdepth.publish results --profile "$(PROFILE)"
 
-clean: ## remove what runs made (not .venv)
-	rm -rf work results/tiny .pytest_cache .ruff_cache .snakemake
+clean: ## remove what a profile's runs made; downloads and .venv stay
+	rm -rf "work/$(PROFILE)" "results/$(PROFILE)"

@@ -7,7 +7,7 @@ from dualdepth.results import Run, code_digest, notebook_digest
 PROFILE = config.get("profile", "tiny")
 run_ = Run(PROFILE)
 NAME = run_.profile.name
-SEEDS = [int(s) for s in str(config.get("seeds") or "").split(",") if s] or run_.profile.seeds
+SEEDS = [int(s) for s in str(config.get("seeds", "")).split(",") if s] or run_.profile.seeds
 WORK, RESULTS = f"work/{NAME}", f"results/{NAME}"
 ONE_AT_A_TIME = workflow.cores  # a training uses all cores
 
@@ -30,7 +30,7 @@ rule quickstart:
         notebook=notebook("00_quickstart"),
         code=code_digest("train", "world"),
     shell:
-        "dualdepth notebook 00_quickstart --out {output} --set profile={PROFILE}"
+        "dualdepth notebook 00_quickstart --out {output} --set profile={PROFILE:q}"
 
 
 rule download_data:
@@ -44,7 +44,7 @@ rule download_data:
         kitti_root=config.get("kitti_root") or "",
         test_list=config.get("test_list") or "",
     shell:
-        "dualdepth notebook 01_download_data --out {output.notebook} --set profile={PROFILE}"
+        "dualdepth notebook 01_download_data --out {output.notebook} --set profile={PROFILE:q}"
         " kitti_root={params.kitti_root:q} test_list={params.test_list:q}"
 
 
@@ -54,6 +54,7 @@ rule prepare_data:
     output:
         notebook=f"{RESULTS}/notebooks/02_prepare_data.ipynb",
         triplets=f"{WORK}/prepared/triplets.csv",
+        identity=f"{WORK}/prepared/identity.json",
         frames=f"{WORK}/prepared/test_frames.json",
         truth=f"{WORK}/prepared/ground_truth.npz",
     params:
@@ -61,28 +62,30 @@ rule prepare_data:
         settings=run_.profile.digest("data"),
         code=code_digest("prepare"),
     shell:
-        "dualdepth notebook 02_prepare_data --out {output.notebook} --set profile={PROFILE}"
+        "dualdepth notebook 02_prepare_data --out {output.notebook} --set profile={PROFILE:q}"
 
 
 rule train_lr:
     input:
         f"{WORK}/prepared/triplets.csv",
+        f"{WORK}/prepared/identity.json",
     output:
         notebook=f"{RESULTS}/notebooks/03_train_lr_seed{{seed}}.ipynb",
-        weights=f"{WORK}/runs/lr/seed{{seed}}/model.safetensors",
+        # not the weights themselves: Snakemake deletes the outputs of a failed or stale step
+        trained=f"{WORK}/runs/lr/seed{{seed}}/trained.json",
     params:
         notebook=notebook("03_train_lr"),
         settings=run_.settings_digest("lr"),
         code=code_digest("train"),
     threads: ONE_AT_A_TIME
     shell:
-        "dualdepth notebook 03_train_lr --out {output.notebook} --set profile={PROFILE} seed={wildcards.seed}"
+        "dualdepth notebook 03_train_lr --out {output.notebook} --set profile={PROFILE:q} seed={wildcards.seed}"
 
 
 rule table_main:
     input:
         f"{WORK}/prepared/ground_truth.npz",
-        expand(f"{WORK}/runs/lr/seed{{seed}}/model.safetensors", seed=SEEDS),
+        expand(f"{WORK}/runs/lr/seed{{seed}}/trained.json", seed=SEEDS),
     output:
         notebook=f"{RESULTS}/notebooks/05_table_main.ipynb",
         table=f"{RESULTS}/tables/main.csv",
@@ -94,4 +97,4 @@ rule table_main:
         code=code_digest("evaluate"),
     threads: ONE_AT_A_TIME
     shell:
-        "dualdepth notebook 05_table_main --out {output.notebook} --set profile={PROFILE} seeds={params.seeds}"
+        "dualdepth notebook 05_table_main --out {output.notebook} --set profile={PROFILE:q} seeds={params.seeds}"

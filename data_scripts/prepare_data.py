@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 from data_scripts import download_kitti, export_depth, make_miniature
 from dualdepth.atomic import write_json, write_text
-from dualdepth.data.kitti import CAMERA_OF_SIDE, Frame, check_root
-from dualdepth.data.sources import named_list
+from dualdepth.data.kitti import CAMERA_OF_SIDE, Frame, check_root, read_frame_list
+from dualdepth.data.sources import drive_archives, named_list
 from dualdepth.errors import InputError, exit_on_input_error
-from dualdepth.preparation import Sources, check_separate, laser_frames, test_frames, training_targets, write_training_index
+from dualdepth.preparation import Sources, check_separate, laser_frames, test_frames, training_targets, write_identity, write_training_index
 from dualdepth.results import Run
 
 
@@ -61,22 +61,24 @@ def world_sources(root: Path) -> Sources:
 def kitti_sources(run: Run, kitti_root: str, test_list: str) -> Sources:
     """Sources of real KITTI; without `kitti_root` the profile's drives are downloaded to `work/kitti`."""
     data, home = run.profile.data, run.root / "work" / "kitti"
-    if not kitti_root:
-        code = download_kitti.main(["--profile", run.profile.name, "--root", str(home)])
-        if code:
-            raise InputError("the download did not end well; run the same command to go on")
-    root = check_root(kitti_root or home)
 
     def listed(name: str | None) -> Path | None:
         return named_list(name, home / "lists") if name else None
 
-    scored = Path(test_list or data.test_list or "")
-    if not test_list and data.test_list and not scored.is_file():
-        scored = named_list(data.test_list, home / "lists")
+    if not (test_list or data.test_list):
+        raise InputError(f"profile {run.profile.name} names no frames to score: give data.test_list or TEST_LIST")
+    own = Path(test_list or data.test_list)
+    scored = own if test_list or own.is_file() else named_list(data.test_list, home / "lists")
+    train_list = listed(f"{data.train_list}_train" if data.train_list else None)
+    if not kitti_root:
+        needed = {frame.drive for path in (scored, train_list) if path for frame in read_frame_list(path)}
+        needed |= {drive.partition(":")[0] for drive in data.train_drives}
+        cameras = {"image_02", "image_03", *data.cameras, *(d.partition(":")[2] for d in data.train_drives if ":" in d)}
+        download_kitti.download(drive_archives(sorted(needed)), home, cameras=sorted(cameras))
     return Sources(
-        kitti_root=root.resolve(),
+        kitti_root=check_root(kitti_root or home).resolve(),
         test_list=scored.resolve(),
-        train_list=listed(f"{data.train_list}_train" if data.train_list else None),
+        train_list=train_list,
         static_frames=listed(data.static_frames),
         test_scenes=listed(data.test_scenes),
     )
@@ -94,6 +96,7 @@ def prepare(run: Run) -> Prepared:
     check_separate(targets, scored)
     fitted = laser_frames(sources, targets, run.profile.data.baseline_frames)
     write_training_index(run, sources, targets)
+    write_identity(run, sources, targets)
     _export(run, sources, scored, "ground_truth.npz")
     (run.prepared / "baseline_truth.npz").unlink(missing_ok=True)
     if fitted:

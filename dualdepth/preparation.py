@@ -11,7 +11,7 @@ from dualdepth.atomic import write_json
 from dualdepth.data.kitti import Frame, check_root, image_path, read_frame_list, read_static_frames, read_test_scenes, velodyne_path
 from dualdepth.data.triplets import drive_triplets, missing_neighbours, name_missing, write_targets
 from dualdepth.errors import InputError
-from dualdepth.results import Run
+from dualdepth.results import Run, file_digest
 
 
 class Sources(NamedTuple):
@@ -49,22 +49,24 @@ def training_targets(run: Run, sources: Sources) -> list[Frame]:
         targets = read_frame_list(sources.train_list)
         missing = missing_neighbours(root, targets)
         if missing:
-            raise name_missing("training frames", root, missing)
+            raise name_missing("to train on", root, [(frame, frame.camera) for frame in missing])
         return targets
     return drive_triplets(root, data.train_drives or sources.train_drives, data.cameras, static, scenes)
 
 
 def test_frames(run: Run, sources: Sources) -> tuple[list[Frame], int]:
-    """Frames to score, and how many the list names.
+    """Frames to score, those with image and laser scan, and how many the list names.
 
     Raises:
         InputError: frames of the list are missing and the profile does not allow it, or all are.
     """
     listed = read_frame_list(sources.test_list)
-    missing = [f for f in listed if image_path(sources.kitti_root, f) is None]
-    if missing and (not run.profile.data.allow_missing or len(missing) == len(listed)):
-        raise name_missing("frames to score", sources.kitti_root, missing)
-    gone = set(missing)
+    root = sources.kitti_root
+    missing = [(f, f.camera) for f in listed if image_path(root, f) is None]
+    missing += [(f, "velodyne_points") for f in listed if not velodyne_path(root, f).is_file()]
+    gone = {frame for frame, _ in missing}
+    if missing and (not run.profile.data.allow_missing or len(gone) == len(set(listed))):
+        raise name_missing("to score (`allow_missing: true` in the profile's `data` scores the rest)", root, missing)
     return [f for f in listed if f not in gone], len(listed)
 
 
@@ -80,6 +82,15 @@ def laser_frames(sources: Sources, targets: Sequence[Frame], most: int) -> list[
     scanned = [f for f in targets if f.camera == "image_02" and velodyne_path(sources.kitti_root, f).is_file()]
     chosen = np.unique(np.linspace(0, len(scanned) - 1, min(most, len(scanned))).round().astype(int))
     return [scanned[i] for i in chosen]
+
+
+def write_identity(run: Run, sources: Sources, targets: Sequence[Frame]) -> Path:
+    """Write `prepared/identity.json`: which world or which calibrations the triplets are of, since their names alone do not tell."""
+    root, world = sources.kitti_root, sources.kitti_root.parent / "world.json"
+    files = [world] if run.profile.world else [root / date / "calib_cam_to_cam.txt" for date in sorted({f.date for f in targets})]
+    path = run.prepared / "identity.json"
+    write_json(path, {file.parent.name: file_digest(file) for file in files})
+    return path
 
 
 def check_separate(train: Sequence[Frame], test: Sequence[Frame]) -> None:

@@ -4,8 +4,11 @@ import ast
 import datetime
 import hashlib
 import json
+import os
 import platform
 import subprocess
+import sys
+import time
 from collections.abc import Iterable
 from functools import cached_property
 from pathlib import Path
@@ -21,10 +24,16 @@ from dualdepth.errors import InputError
 PACKAGE = Path(__file__).parent
 
 CODE = {
-    "world": ("data_scripts.make_miniature", "data_scripts.miniature"),
-    "prepare": ("data_scripts.prepare_data", "data_scripts.export_depth", "data.kitti", "data.triplets", "data.lidar", "data.depth_maps"),
-    "train": ("networks", "geometry", "losses", "stages", "training", "data.augmentation", "data.loading"),
-    "evaluate": ("evaluation", "predict", "scoring", "tables", "paper"),
+    "world": ("data_scripts.make_miniature", "data_scripts.miniature", "data_scripts.prepare_data", "preparation", "data.sources"),
+    "prepare": (
+        *("data_scripts.prepare_data", "data_scripts.export_depth", "preparation"),
+        *("data.kitti", "data.triplets", "data.lidar", "data.depth_maps"),
+    ),
+    "train": ("networks", "geometry", "losses", "stages", "training", "data.augmentation", "data.loading", "data.kitti", "data.triplets"),
+    "evaluate": (
+        *("evaluation", "predict", "scoring", "tables", "paper", "plots", "networks"),
+        *("data.augmentation", "data.loading", "data.kitti", "data.depth_maps"),
+    ),
 }
 """Modules whose code shapes a step's result; a change in one of them makes the step stale."""
 
@@ -50,6 +59,7 @@ class Run:
         self.root = root or project_root()
         self.work = self.root / "work" / self.profile.name
         self.results = self.root / "results" / self.profile.name
+        self.began = time.perf_counter()
 
     @property
     def sources(self) -> Path:
@@ -76,8 +86,8 @@ class Run:
     def recipe(self, stage: str) -> str:
         """Digest of all that shapes a training's weights, the seed aside: settings, code, and the prepared triplets."""
         settings = self.settings_digest(stage)
-        triplets = hashlib.sha256((self.prepared / "triplets.csv").read_bytes()).hexdigest()
-        return hashlib.sha256(f"{settings} {code_digest('train')} {triplets}".encode()).hexdigest()[:16]
+        data = [file_digest(self.require(self.prepared / name, "02_prepare_data")) for name in ("triplets.csv", "identity.json")]
+        return hashlib.sha256(f"{settings} {code_digest('train')} {data}".encode()).hexdigest()[:16]
 
     def require(self, path: Path, notebook: str) -> Path:
         """`path`, checked to be there.
@@ -105,8 +115,10 @@ class Run:
         return path
 
     def stamp(self, inputs: Iterable[Path]) -> dict[str, Any]:
-        """Provenance: revision, hashes of lock, profile and inputs, versions, machine, time."""
+        """Provenance: revision, hashes of lock, profile and inputs, versions, machine, time; seconds are since this run was opened."""
         return {
+            "seconds": round(time.perf_counter() - self.began, 1),
+            "device": device_name(),
             "made": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
             "version": dualdepth.__version__,
             "revision": self._revision[0],
@@ -125,6 +137,14 @@ class Run:
             return subprocess.run(["git", "-C", str(self.root), *words], capture_output=True, text=True, check=False).stdout.strip()
 
         return git("rev-parse", "HEAD") or "unknown", bool(git("status", "--porcelain"))
+
+
+def device_name() -> str:
+    """The GPU's name, or the CPU with its number of threads; nothing is loaded to find out."""
+    torch = sys.modules.get("torch")
+    if torch and torch.cuda.is_available():
+        return torch.cuda.get_device_name()
+    return f"CPU, {torch.get_num_threads() if torch else os.cpu_count()} threads"
 
 
 _SHAPING = (
@@ -158,10 +178,10 @@ def code_digest(*steps: str) -> str:
 
 
 def notebook_digest(name: str) -> str:
-    """Digest of a notebook's cells, blind to their outputs."""
+    """Digest of a notebook's code, blind to its prose and outputs."""
     path = project_root() / "notebooks" / f"{name}.ipynb"
     cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
-    return hashlib.sha256(json.dumps(["".join(cell["source"]) for cell in cells]).encode()).hexdigest()[:16]
+    return hashlib.sha256(json.dumps(["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]).encode()).hexdigest()[:16]
 
 
 def _meaning(source: str) -> str:

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pandas as pd
 import torch
@@ -15,7 +14,7 @@ from dualdepth.config import Evaluation
 from dualdepth.data.depth_maps import DepthMaps, load_ground_truth
 from dualdepth.data.kitti import Frame, image_path
 from dualdepth.evaluation import baselines
-from dualdepth.evaluation.depth import evaluate, summary
+from dualdepth.evaluation.depth import evaluate, resized, summary
 from dualdepth.networks.lr_net import LRNet
 from dualdepth.predict import load_depth_net, predict_disparities
 from dualdepth.preparation import Sources
@@ -69,9 +68,12 @@ def scaled_depth(run: Run, variant: str, seed: int, image: int) -> np.ndarray:
     """Predicted depth (H, W) of a scored image in metres, at the ground truth's size, median-scaled as it is scored."""
     settings, depth = run.profile.evaluation, truth(run)[image]
     folder = run.training(variant, seed)
-    prediction = 1.0 / np.load(folder / "disparities.npy", mmap_mode="r")[image]
+    disparity = np.load(folder / "disparities.npy", mmap_mode="r")[image]
     scores = pd.read_csv(folder / "per_image.csv", index_col="image")
-    enlarged = cv2.resize(prediction, depth.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    if settings.resize == "depth":
+        enlarged = resized(1.0 / disparity, depth.shape)
+    else:
+        enlarged = 1.0 / resized(np.asarray(disparity), depth.shape)
     return np.clip(enlarged * scores.loc[image, "scale_ratio"], settings.min_depth, settings.max_depth)
 
 
@@ -87,11 +89,13 @@ def score_baselines(run: Run) -> dict[str, pd.DataFrame]:
     """Score constant depth, per-row mean and mean depth map, by name.
 
     They are fitted on training-side laser frames; where the only laser frames are the scored ones, each drive is predicted from
-    the others.
+    the others. Empty where both fail: no training-side scans and one scored drive.
     """
     maps, limit = truth(run), run.profile.evaluation.max_depth
     fitted = run.prepared / "baseline_truth.npz"
-    scores = {}
+    scores: dict[str, pd.DataFrame] = {}
+    if not fitted.exists() and len({frame.drive for frame in scored_frames(run)}) < 2:
+        return scores
     for name in baselines.BASELINES:
         if fitted.exists():
             sums = baselines.depth_sums(load_ground_truth(fitted), grid=baselines.GRID, max_depth=limit)

@@ -108,7 +108,7 @@ def train(
 
     def check_finite(what: str, value: torch.Tensor, step: int, names: Sequence[str]) -> None:
         if not torch.isfinite(value):
-            save(step - 1)
+            # not saved: the forward pass may have spoilt batch norm's statistics; the last checkpoint stays
             raise InputError(f"{folder}: {what} is {value.item()} at step {step}, frames {', '.join(names)}")
 
     with bar, _StopRequested() as stop:

@@ -1,12 +1,14 @@
 """The trainings a profile can ask for, by name."""
 
 import dataclasses
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from torch import nn
 
+from dualdepth.atomic import write_text
 from dualdepth.checkpoints import load_card
 from dualdepth.config import Profile
 from dualdepth.data.triplets import load_triplets, read_targets
@@ -43,8 +45,8 @@ def train_variant(run: Run, variant: str, seed: int) -> Path:
     weights, recipe = run.weights(variant, seed), run.recipe(chosen.stage)
     if weights.exists() and (card := load_card(weights)).get("recipe") == recipe:
         print(f"already trained: {card['steps']} steps, seed {seed}")
-        return weights
-    return train(
+        return _mark(weights)
+    train(
         chosen.make_model,
         getattr(run.profile.training, chosen.stage),
         run.profile,
@@ -54,6 +56,16 @@ def train_variant(run: Run, variant: str, seed: int) -> Path:
         recipe=recipe,
         card=_card(run, variant, index),
     )
+    return _mark(weights)
+
+
+def _mark(weights: Path) -> Path:
+    """Write `trained.json`, which tells the chain that these weights are done; the weights themselves are never the chain's to delete."""
+    marker = weights.with_name("trained.json")
+    digest = json.dumps({"weights_sha256": load_card(weights)["sha256"]}) + "\n"
+    if not marker.exists() or marker.read_text(encoding="utf-8") != digest:
+        write_text(marker, digest)
+    return weights
 
 
 def _card(run: Run, variant: str, index: Path) -> dict[str, Any]:

@@ -158,7 +158,7 @@ def test_a_failed_save_leaves_the_checkpoint_before_it(tmp_path, monkeypatch):
 
 def write_foreign(kind, path, mark):
     if kind == "pickle":
-        path.write_bytes(pickle.dumps(Trap(mark)))
+        path.write_bytes(pickle.dumps(Trap(mark), protocol=2))
     elif kind == "trap in a torch file":
         torch.save({"recipe": Trap(mark), "step": 1, "model": {}, "optimizer": {}}, path)
     elif kind == "other keys":

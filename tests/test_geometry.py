@@ -107,6 +107,14 @@ def test_points_behind_the_source_camera_are_invalid_and_finite():
     assert pixel.isfinite().all()
 
 
+def test_a_point_straight_behind_the_source_camera_is_invalid():
+    """On the optical axis even a point behind the camera projects into the image."""
+    k = torch.tensor([[[10.0, 0, 0], [0, 10, 0], [0, 0, 1]]])
+    ahead, behind = (reproject(torch.ones(1, 1, 4, 4), pose(0, 0, z, 0, 0, 0), k)[1][0, 0, 0, 0] for z in (-0.5, -3))
+    assert ahead
+    assert not behind
+
+
 @pytest.mark.parametrize(("shift", "columns"), [(0.4, 40), (0.6, 39), (3.0, 37), (-3.0, 37), (39.6, 0), (100.0, 0)])
 def test_a_pixel_is_valid_while_it_lies_on_the_source_image(shift, columns):
     k = camera(6, 40)

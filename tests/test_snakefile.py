@@ -17,8 +17,8 @@ name, profile = sys.argv[2], out.parts[1]
 seed = re.search(r"seed=(\\d+)", " ".join(sys.argv))
 made = {{
     "01_download_data": ["work/{{p}}/sources.json"],
-    "02_prepare_data": ["work/{{p}}/prepared/triplets.csv", "work/{{p}}/prepared/test_frames.json", "work/{{p}}/prepared/ground_truth.npz"],
-    "03_train_lr": ["work/{{p}}/runs/lr/seed{{s}}/model.safetensors"],
+    "02_prepare_data": ["work/{{p}}/prepared/" + n for n in ("triplets.csv", "identity.json", "test_frames.json", "ground_truth.npz")],
+    "03_train_lr": ["work/{{p}}/runs/lr/seed{{s}}/trained.json"],
     "05_table_main": ["results/{{p}}/tables/main.csv", "results/{{p}}/tables/main.json"],
 }}.get(name, [])
 for path in [out, *(pathlib.Path(m.format(p=profile, s=seed and seed[1])) for m in made)]:
@@ -81,3 +81,16 @@ def test_it_runs_everything_once_then_only_what_a_change_makes_stale(chain):
 def test_how_often_the_log_is_written_makes_nothing_stale(chain):
     chain()
     assert chain(change=("  log_every: 5", "  log_every: 6")) == []
+
+
+def test_seed_zero_alone_can_be_asked_for_in_a_profile_of_several(chain):
+    ran = chain("seeds=0", change=("about:", "seeds: [0, 1, 2]\nabout:"))
+    assert [name for name in ran if name.startswith("03")] == ["03_train_lr seed 0"]
+
+
+def test_other_frames_to_score_leave_the_weights_where_they_are(chain, tmp_path):
+    chain()
+    weights = tmp_path / "work/own/runs/lr/seed0/model.safetensors"
+    weights.write_text("learned")
+    chain(change=("hr_size:", "baseline_frames: 3\n  hr_size:"))
+    assert weights.read_text() == "learned"

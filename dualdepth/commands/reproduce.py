@@ -33,7 +33,6 @@ def reproduce(arguments: argparse.Namespace) -> int:
     Raises:
         InputError: bad profile, seeds or paths, or a live run of the same profile.
     """
-    import os
     import subprocess
     import sys
     from pathlib import Path
@@ -45,7 +44,8 @@ def reproduce(arguments: argparse.Namespace) -> int:
 
     run = Run(arguments.profile)
     seeds = parse_seeds(arguments.seeds) or run.profile.seeds
-    config = {"profile": arguments.profile, "seeds": ",".join(map(str, seeds))}
+    profile = str(Path(arguments.profile).resolve()) if Path(arguments.profile).is_file() else arguments.profile
+    config = {"profile": profile, "seeds": ",".join(map(str, seeds))}
     if arguments.kitti_root:
         check_root(arguments.kitti_root)
     if arguments.test_list:
@@ -56,8 +56,7 @@ def reproduce(arguments: argparse.Namespace) -> int:
     settings = [f"{k}={v}" for k, v in config.items()]
     command = [sys.executable, "-m", "snakemake", "--cores", arguments.cores, "--nolock", "--rerun-incomplete", "--quiet", "all"]
     with locked(run.work / "lock"):
-        # libraries' threads and Snakemake's side-by-side jobs share the cores
-        done = subprocess.run([*command, *arguments.snakemake, "--config", *settings], cwd=run.root, env=os.environ, check=False)
+        done = subprocess.run([*command, *arguments.snakemake, "--config", *settings], cwd=run.root, check=False)
     if done.returncode:
         logs = sorted((run.root / ".snakemake" / "log").glob("*.log"))
         raise InputError(f"the chain stopped, see above; Snakemake's log is {logs[-1].relative_to(run.root) if logs else 'not there'}")

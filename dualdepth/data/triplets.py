@@ -32,29 +32,31 @@ def drive_triplets(
 
     Args:
         root: KITTI raw folder.
-        drives: `date/date_drive_XXXX_sync`.
-        cameras: camera folders in order of preference; the first that a drive has is read.
+        drives: `date/date_drive_XXXX_sync`, with `:image_00` behind it to read that camera.
+        cameras: camera folders in order of preference for the other drives; the first that a drive has is read.
         static: (drive, index) of frames where the camera stands still.
         test_scenes: drives that hold test frames; naming one in `drives` is an error.
 
     Raises:
         InputError: a test drive among `drives`, drives without frames (all named at once), or no triplet at all.
     """
-    drives = list(drives)
-    leaked = sorted(set(drives) & set(test_scenes))
+    chosen = [entry.partition(":")[::2] for entry in drives]
+    leaked = sorted({drive for drive, _ in chosen} & set(test_scenes))
     if leaked:
         raise InputError(f"training drives {', '.join(leaked)} hold test frames: take them out of train_drives")
     targets, empty = [], []
-    for drive in drives:
-        camera, indices = _frames_of(Path(root) / drive, cameras)
+    for drive, asked in chosen:
+        camera, indices = _frames_of(Path(root) / drive, [asked] if asked else cameras)
         if not indices:
-            empty.append(drive)
+            empty.append(f"{drive}/{asked or ' or '.join(cameras)}")
         moving = indices - {i for d, i in static if d == drive}
         targets += [Frame(drive, i, camera) for i in sorted(moving) if {i - 1, i + 1} <= moving]
     if empty:
-        raise InputError(f"{root}: no frames in {' or '.join(cameras)} of {len(empty)} drives: {', '.join(empty)}; download them first")
+        raise InputError(f"{root}: no frames in {', '.join(empty)}; download these drives first")
     if not targets:
-        raise InputError(f"{root}: no three consecutive moving frames in {', '.join(drives)}; training needs at least one triplet")
+        raise InputError(
+            f"{root}: no three consecutive moving frames in {', '.join(d for d, _ in chosen)}; training needs at least one triplet"
+        )
     return targets
 
 
@@ -85,14 +87,25 @@ def missing_neighbours(root: str | Path, targets: Iterable[Frame]) -> list[Frame
     return sorted(set(missing))
 
 
-def name_missing(what: str, root: str | Path, missing: Sequence[Frame], shown: int = 20) -> InputError:
-    """One message for all missing files: their count, the drives they are of, and the first `shown` of them."""
-    drives = sorted({frame.drive for frame in missing})
-    listed = ", ".join(str(frame) for frame in missing[:shown]) + (", …" if len(missing) > shown else "")
-    return InputError(
-        f"{root}: {len(missing)} {what} are missing, of {len(drives)} drives ({', '.join(drives)}): {listed}; "
-        "download the drives with data_scripts/download_kitti.py"
-    )
+def name_missing(what: str, root: str | Path, missing: Iterable[tuple[Frame, str]]) -> InputError:
+    """One message for all missing files, neighbours in number written as ranges.
+
+    Args:
+        what: the files are for.
+        root: they are missing in.
+        missing: frames and the folder of the missing file, such as `image_02` or `velodyne_points`.
+    """
+    folders: dict[str, list[int]] = {}
+    for frame, folder in missing:
+        folders.setdefault(f"{frame.drive}/{folder}/data", []).append(frame.index)
+    listed = []
+    for folder, indices in sorted(folders.items()):
+        indices = sorted(set(indices))
+        starts = [i for i in indices if i - 1 not in indices]
+        ends = [i for i in indices if i + 1 not in indices]
+        listed.append(f"{folder} " + ", ".join(f"{a:010d}" if a == b else f"{a:010d}-{b:010d}" for a, b in zip(starts, ends)))
+    count = sum(len(set(indices)) for indices in folders.values())
+    return InputError(f"{root}: {count} files {what} are missing: {'; '.join(listed)}; get them with data_scripts/download_kitti.py")
 
 
 def write_targets(path: str | Path, root: str | Path, targets: Iterable[Frame]) -> None:
