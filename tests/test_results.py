@@ -71,7 +71,7 @@ def test_a_new_file_beside_it_makes_results_stale(digest_of):
 
 
 @pytest.mark.parametrize("step", CODE)
-def test_every_module_that_shapes_a_step_is_there(step):
+def test_the_modules_that_shape_a_step_are_where_the_list_says(step):
     for module in CODE[step]:
         base = PACKAGE.parent if module.startswith("data_scripts") else PACKAGE
         path = base / module.replace(".", "/")
@@ -115,10 +115,11 @@ def test_a_stamp_outside_of_git_says_that_the_revision_is_unknown(project):
 
 
 def test_a_recipe_changes_with_triplets_and_settings_that_shape_the_weights(project):
-    def recipe(profile, triplets):
+    def recipe(profile, triplets, identity="{}"):
         run = Run(profile)
         run.prepared.mkdir(parents=True, exist_ok=True)
         (run.prepared / "triplets.csv").write_text(triplets)
+        (run.prepared / "identity.json").write_text(identity)
         return run.recipe("lr")
 
     def own(name, training):
@@ -129,6 +130,7 @@ def test_a_recipe_changes_with_triplets_and_settings_that_shape_the_weights(proj
     plain = recipe(own("a", "  workers: 1\n"), "x")
     assert recipe(own("b", "  workers: 3\n  log_every: 7\n"), "x") == plain
     assert recipe(own("a", "  workers: 1\n"), "y") != plain
+    assert recipe(own("a", "  workers: 1\n"), "x", '{"frames": 1}') != plain
     for line in ("  lr: {batch_size: 2}\n", "  precision: float32\n", "  encoder: resnet18\n", "  loss: {feature: 0}\n"):
         assert recipe(own("c", line), "x") != plain
 

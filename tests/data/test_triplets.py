@@ -41,7 +41,7 @@ def test_a_test_drive_is_refused_by_name(root):
 
 
 def test_all_drives_without_frames_are_named_in_one_message(root):
-    with pytest.raises(InputError, match=f"2 drives: {OTHER}, 2011_09_26/elsewhere"):
+    with pytest.raises(InputError, match=f"no frames in {OTHER}/image_02, 2011_09_26/elsewhere/image_02"):
         drive_triplets(root, [DRIVE, OTHER, "2011_09_26/elsewhere"])
 
 
@@ -57,6 +57,14 @@ def test_the_first_camera_that_a_drive_has_is_read(root):
     assert {(f.drive, f.camera) for f in found} == {(DRIVE, "image_02"), (OTHER, "image_00")}
 
 
+def test_a_drive_can_name_its_own_camera(root):
+    write_drive(root, [0, 1, 2], DRIVE, size=(8, 8), camera="image_00")
+    found = drive_triplets(root, [f"{DRIVE}:image_00"], cameras=("image_02", "image_00"))
+    assert found == [Frame(DRIVE, 1, "image_00")]
+    with pytest.raises(InputError, match="hold test frames"):
+        drive_triplets(root, [f"{DRIVE}:image_00"], test_scenes={DRIVE})
+
+
 def test_an_empty_camera_folder_is_passed_over(root):
     write_drive(root, [0, 1, 2], OTHER, size=(8, 8), camera="image_00")
     (root / OTHER / "image_02" / "data").mkdir(parents=True)
@@ -68,18 +76,19 @@ def test_missing_neighbours_are_found_once_each(root):
     assert missing == [Frame(DRIVE, 4), Frame(OTHER, 0), Frame(OTHER, 1), Frame(OTHER, 2)]
 
 
-def test_one_message_names_all_missing_files(root):
-    missing = missing_neighbours(root, [Frame(DRIVE, 4), Frame(OTHER, 1)])
-    message = str(name_missing("training frames", root, missing))
-    assert "4 training frames are missing, of 2 drives" in message
-    assert all(str(frame) in message for frame in missing)
+def test_one_message_names_all_missing_files_in_one_line(root):
+    missing = [(frame, frame.camera) for frame in missing_neighbours(root, [Frame(DRIVE, 4), Frame(OTHER, 1), Frame(OTHER, 7)])]
+    message = str(name_missing("to train on", root, [*missing, (Frame(OTHER, 3), "velodyne_points")]))
+    assert "8 files to train on are missing" in message
+    assert f"{DRIVE}/image_02/data 0000000004;" in message
+    assert f"{OTHER}/image_02/data 0000000000-0000000002, 0000000006-0000000008;" in message
+    assert f"{OTHER}/velodyne_points/data 0000000003;" in message
     assert "\n" not in message
 
 
-def test_thousands_of_missing_files_still_make_one_readable_line(root):
-    message = str(name_missing("frames", root, [Frame(OTHER, i) for i in range(5000)]))
-    assert "5000 frames are missing" in message
-    assert len(message) < 2500
+def test_a_whole_missing_drive_is_one_range(root):
+    message = str(name_missing("to train on", root, [(Frame(OTHER, i), "image_02") for i in range(5000)]))
+    assert f"5000 files to train on are missing: {OTHER}/image_02/data 0000000000-0000004999;" in message
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg"])
