@@ -37,8 +37,8 @@ def load_checkpoint(path: str | Path) -> dict[str, Any] | None:
         if {"recipe", "step", "model", "optimizer"} <= set(state):
             return state
         reason = "keys are missing"
-    except (OSError, RuntimeError, EOFError, ValueError, TypeError, pickle.UnpicklingError) as error:
-        reason = str(error).splitlines()[0]
+    except (OSError, RuntimeError, EOFError, LookupError, ValueError, TypeError, pickle.UnpicklingError) as error:
+        reason = (str(error) or type(error).__name__).splitlines()[0]
     raise InputError(f"{path}: not a checkpoint of this project ({reason}); delete it to train from the start")
 
 
@@ -62,7 +62,10 @@ def load_card(path: str | Path) -> dict[str, Any]:
     """
     card = Path(path).with_suffix(".json")
     try:
-        return json.loads(card.read_text(encoding="utf-8"))
+        values = json.loads(card.read_text(encoding="utf-8"))
+        if not isinstance(values, dict):
+            raise ValueError(f"expected a mapping, found {type(values).__name__}")
+        return values
     except (OSError, ValueError) as error:
         raise InputError(f"{card}: the weights' card cannot be read ({error}); keep it beside the weights") from None
 

@@ -215,7 +215,11 @@ class Profile(Settings):
     evaluation: Evaluation = Evaluation()
 
     @model_validator(mode="after")
-    def _world_given(self) -> "Profile":
+    def _fits_together(self) -> "Profile":
+        if self.training.precision == "bf16" and max(self.data.lr_size) <= 64:
+            raise ValueError(
+                "hr_size 192x192 needs precision float32: PoseNet ends in 1x1 maps there, whose bf16 gradients torch 2.13 gets wrong"
+            )
         if (self.data.source == "miniature") != (self.world is not None):
             raise ValueError("data.source: miniature needs a section `world`, and only it")
         return self

@@ -152,11 +152,13 @@ def read_calibration(path: str | Path) -> dict[str, np.ndarray]:
     path = Path(path)
     values = {}
     for _, line in _lines(path):
-        key, _, rest = line.partition(":")
+        key, colon, rest = line.partition(":")
         try:
-            values[key.strip()] = np.array([float(x) for x in rest.split()])
+            numbers = np.array([float(x) for x in rest.split()])
         except ValueError:
             continue
+        if colon and numbers.size:
+            values[key.strip()] = numbers
     if not values:
         raise InputError(f"{path}: holds no `key: numbers` line; give KITTI's own calibration file")
     return values

@@ -100,9 +100,9 @@ def name_missing(what: str, root: str | Path, missing: Iterable[tuple[Frame, str
         folders.setdefault(f"{frame.drive}/{folder}/data", []).append(frame.index)
     listed = []
     for folder, indices in sorted(folders.items()):
-        indices = sorted(set(indices))
-        starts = [i for i in indices if i - 1 not in indices]
-        ends = [i for i in indices if i + 1 not in indices]
+        there = set(indices)
+        starts = sorted(i for i in there if i - 1 not in there)
+        ends = sorted(i for i in there if i + 1 not in there)
         listed.append(f"{folder} " + ", ".join(f"{a:010d}" if a == b else f"{a:010d}-{b:010d}" for a, b in zip(starts, ends)))
     count = sum(len(set(indices)) for indices in folders.values())
     return InputError(f"{root}: {count} files {what} are missing: {'; '.join(listed)}; get them with data_scripts/download_kitti.py")

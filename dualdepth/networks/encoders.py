@@ -5,6 +5,7 @@ gives None there. Reflection padding replaces zero padding (paper, "Implementati
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -43,11 +44,12 @@ class ResNetEncoder(Encoder):
 
         super().__init__()
         widths = {18: (64, 128, 256, 512), 50: (256, 512, 1024, 2048)}[depth]
+        kind, blocks = {18: ("basic", [2, 2, 2, 2]), 50: ("bottleneck", [3, 4, 6, 3])}[depth]
+        config = ResNetConfig(depths=blocks, hidden_sizes=list(widths), layer_type=kind)
         if pretrained:
-            self.backbone = _from_hub(ResNetBackbone, HUB_NAMES[f"resnet{depth}"] if pretrained is True else pretrained)
+            self.backbone = _from_hub(ResNetBackbone, HUB_NAMES[f"resnet{depth}"] if pretrained is True else pretrained, config=config)
         else:
-            kind, blocks = {18: ("basic", [2, 2, 2, 2]), 50: ("bottleneck", [3, 4, 6, 3])}[depth]
-            self.backbone = ResNetBackbone(ResNetConfig(depths=blocks, hidden_sizes=list(widths), layer_type=kind))
+            self.backbone = ResNetBackbone(config)
         self.channels = (64, *widths)
         reflect_padding(self)
 
@@ -73,7 +75,7 @@ class MobileNetV2Encoder(Encoder):
 
         super().__init__()
         if pretrained:
-            model = _from_hub(MobileNetV2Model, HUB_NAMES["mobilenet_v2"] if pretrained is True else pretrained)
+            model = _from_hub(MobileNetV2Model, HUB_NAMES["mobilenet_v2"] if pretrained is True else pretrained, config=MobileNetV2Config())
         else:
             model = MobileNetV2Model(MobileNetV2Config(), add_pooling_layer=False)
         self.stem, self.layers = model.conv_stem, model.layer
@@ -107,15 +109,14 @@ class BackboneEncoder(Encoder):
         try:
             config = AutoConfig.from_pretrained(name)
             config.out_features = config.stage_names[-4:]
-            if pretrained:
-                self.backbone = AutoBackbone.from_pretrained(name if pretrained is True else pretrained, config=config)
-            else:
-                self.backbone = AutoBackbone.from_config(config)
+            self.backbone = AutoBackbone.from_config(config)
         except (OSError, ValueError, AttributeError) as error:
             raise InputError(f"encoder {name!r}: not resnet50, resnet18, mobilenet_v2 nor a usable AutoBackbone ({error})") from None
+        if pretrained:  # by its own class: AutoBackbone asks the hub even about a local folder
+            self.backbone = _from_hub(type(self.backbone), name if pretrained is True else pretrained, config=config)
         reflect_padding(self)
         with torch.no_grad():
-            strides = [64 / m.shape[-1] for m in self.backbone.eval()(torch.zeros(1, 3, 64, 64)).feature_maps]
+            strides = [128 / m.shape[-1] for m in self.backbone.eval()(torch.zeros(1, 3, 128, 128)).feature_maps]
         self.backbone.train()
         if strides != [4, 8, 16, 32]:
             raise InputError(f"encoder {name!r}: its maps have strides {strides}; a hierarchical backbone with 4, 8, 16, 32 is needed")
@@ -159,10 +160,15 @@ def _as_pair(padding: str | Sequence[int]) -> tuple[int, int]:
     return tuple(padding)
 
 
-def _from_hub(cls: type, name: str) -> nn.Module:
+def _from_hub(cls: type, name: str, **options: Any) -> nn.Module:
+    """Pretrained model; transformers alone would give random weights where the file has none."""
     try:
-        return cls.from_pretrained(name)
-    except (OSError, ValueError) as error:
+        model, loaded = cls.from_pretrained(name, output_loading_info=True, **options)
+        missing = sorted(key for key in loaded["missing_keys"] if "hidden_states_norms" not in key)  # a backbone's own, after each stage
+        if missing:
+            raise ValueError(f"it has no {missing[0]}: weights of another network")
+        return model
+    except (OSError, ValueError, RuntimeError) as error:
         reason = str(error).splitlines()[0]
         raise InputError(
             f"ImageNet weights {name!r} cannot be loaded ({reason}); "

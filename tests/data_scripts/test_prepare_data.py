@@ -63,7 +63,9 @@ def test_training_frames_with_a_scan_fit_the_baselines(project, write_scan):
 def test_frames_to_score_that_are_missing_are_all_named_in_one_line(project):
     run, _kitti, test_list = project
     test_list.write_text(test_list.read_text() + f"{TEST} 0000000007 l\n{TEST} 0000000008 l\n")
-    with pytest.raises(InputError, match=r"4 files to score .*image_02/data 0000000007-0000000008; .*velodyne_points/data 0000000007-0000000008"):
+    with pytest.raises(
+        InputError, match=r"4 files to score .*image_02/data 0000000007-0000000008; .*velodyne_points/data 0000000007-0000000008"
+    ):
         prepared(project)
     assert not (run.prepared / "ground_truth.npz").exists()
 
