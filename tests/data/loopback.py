@@ -60,19 +60,18 @@ class _Handler(http.server.BaseHTTPRequestHandler):
             self.end_headers()
             return
         body = content[start:]
-        self.send_response(206 if start else 200)
-        if start:
-            self.send_header("Content-Range", f"bytes {start}-{len(content) - 1}/{len(content)}")
-        self.send_header("Content-Length", str(len(body)))
-        self.send_header("ETag", etag)
-        self.end_headers()
         if with_body:
             body = body[: server.cuts.pop(0)] if server.cuts else body
             log[3] = len(body)
-            server.requests.append(tuple(log))
+        server.requests.append(tuple(log))  # before the answer, which a client may not read to its end
+        self.send_response(206 if start else 200)
+        if start:
+            self.send_header("Content-Range", f"bytes {start}-{len(content) - 1}/{len(content)}")
+        self.send_header("Content-Length", str(len(content) - start))
+        self.send_header("ETag", etag)
+        self.end_headers()
+        if with_body:
             self.wfile.write(body)
-        else:
-            server.requests.append(tuple(log))
         self.close_connection = True
 
 
