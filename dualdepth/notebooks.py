@@ -88,8 +88,17 @@ class _StreamsShown:
 
 
 def _collapse_progress(notebook: Any) -> None:
-    """Keep only the last state of each progress bar in the stored outputs."""
+    """Join the pieces of each stream, and keep only the last state of each progress bar."""
     for cell in notebook.cells:
+        joined: list[Any] = []
         for output in cell.get("outputs", []):
+            last = joined[-1] if joined else None
+            if last and output.output_type == last.output_type == "stream" and output.name == last.name:
+                last.text += output.text
+            else:
+                joined.append(output)
+        for output in joined:
             if output.output_type == "stream":
                 output.text = re.sub(r"[^\n]*\r(?!\n)", "", output.text)
+        if "outputs" in cell:
+            cell.outputs = joined
