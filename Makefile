@@ -26,8 +26,9 @@ $(STAMP): environment.lock pyproject.toml
 reproduce: env ## run every notebook of a profile: data, training, tables, figures
 	@dualdepth reproduce --profile "$(PROFILE)" --kitti-root "$(KITTI_ROOT)" --test-list "$(TEST_LIST)" --seeds "$(SEEDS)"
 
-test: env lint ## lint, unit tests, notebooks against their stored outputs
+test: env lint ## lint, unit tests, the tiny chain, notebooks against their stored outputs
 	pytest
+	dualdepth reproduce --profile tiny
 	pytest --nbval $(NOTEBOOKS)
 	@echo "all tests passed; the notebooks' data and weights are in work/tiny, tables and figures in results/tiny"
 

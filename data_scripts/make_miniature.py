@@ -26,8 +26,9 @@ sys.path.insert(0, str(REPOSITORY))  # run as a script, only this file's folder 
 from data_scripts.miniature.frames import write_shot  # noqa: E402
 from data_scripts.miniature.plan import folders, plan_world  # noqa: E402
 from dualdepth.atomic import write_json  # noqa: E402
-from dualdepth.config import World, load_profile  # noqa: E402
+from dualdepth.config import load_profile  # noqa: E402
 from dualdepth.errors import InputError, exit_on_input_error  # noqa: E402
+from dualdepth.sections import World  # noqa: E402
 
 STAMP = "world.json"
 """Written last; says which settings and sources a folder was made from."""

@@ -1,205 +1,22 @@
 """The profile: every setting of a run, read from YAML and validated at once.
 
-An unknown key is an error that names the nearest known one. Settings have no hidden defaults elsewhere in the
-package: what is not in the profile's YAML stands here, each with its reason.
+An unknown key is an error that names the nearest known one. The sections stand in `dualdepth/sections.py`.
 """
 
 import difflib
+import functools
 import hashlib
 import json
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from dualdepth.errors import InputError
+from dualdepth.sections import Data, Evaluation, Settings, Training, Variant, World
 
 PROFILES = Path(__file__).parent / "profiles"
-Size = Annotated[tuple[int, int], Field(description="(height, width) in pixels")]
-
-
-class Settings(BaseModel):
-    """Base of all sections: unknown keys are refused, values are fixed once read."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class World(Settings):
-    """The embedded synthetic street world (`data_scripts/make_miniature.py`)."""
-
-    train_seed: int = Field(1, ge=0)
-    """Seed of the training streets."""
-    test_seed: int = Field(1001, ge=0)
-    """Seed of the streets that are scored; never used to choose anything in `miniature`."""
-    size: Size = (208, 656)
-    """Size of the raw and odometry frames; KITTI's shape at about half its width."""
-    supersample: int = Field(3, ge=1)
-    """Rays per pixel side: the anti-aliasing that lets a full-resolution image hold more than its small copy."""
-    train_drives: int = Field(3, ge=1)
-    """Training drives, each in a street of its own."""
-    frames_per_drive: int = Field(40, ge=3)
-    """Frames of a training drive, consecutive."""
-    frame_spacing: float = Field(1.05, gt=0)
-    """Mean metres between raw frames, as KITTI at 40 km/h."""
-    static_frames: int = Field(6, ge=0)
-    """Length of the stretch in the first training drive where the camera stands still."""
-    laser_train_frames: int = Field(5, ge=0)
-    """Frames with a laser scan in each training drive, evenly spread; baselines are fitted on them."""
-    azimuth_step: float = Field(0.35, gt=0)
-    """Degrees between the laser's firings; KITTI's 0.17 at half the width."""
-    test_drives: int = Field(2, ge=1)
-    """Scored drives, each in a street of its own."""
-    test_frames: int = Field(8, ge=1)
-    """Scored frames a test drive; only they are rendered."""
-    test_step: int = Field(5, ge=1)
-    """Frames between scored frames, as far apart as in the field's list."""
-    odometry_train: int = Field(1, ge=0, le=9)
-    """Training sequences 00, 01, ..."""
-    odometry_test: int = Field(2, ge=0, le=2)
-    """Test sequences 09 and 10."""
-    odometry_frames: int = Field(30, ge=3)
-    """Frames a training sequence; test sequences go on until their path is longer than 250 m."""
-    odometry_spacing: float = Field(2.5, gt=0)
-    """Mean metres between odometry frames: a fast car, so that 250 m need few frames."""
-    make3d_images: int = Field(3, ge=0)
-    """Upright photos with a laser grid."""
-    make3d_size: Size = (568, 426)
-    """Size of the photos, a quarter of Make3D's 2272x1704."""
-
-    @model_validator(mode="after")
-    def _consistent(self) -> "World":
-        if self.train_seed == self.test_seed:
-            raise ValueError(f"train_seed and test_seed are both {self.train_seed}: the scored streets would be the training streets")
-        if self.static_frames > self.frames_per_drive:
-            raise ValueError(f"static_frames {self.static_frames} is more than frames_per_drive {self.frames_per_drive}")
-        return self
-
-
-class Data(Settings):
-    """Which frames are trained on and which are scored."""
-
-    source: Literal["miniature", "kitti"]
-    train_list: str | None = None
-    """Name of a field's list with its training triplets (`eigen_zhou`), used unchanged; else `train_drives`."""
-    train_drives: list[str] = []
-    """Drives like `2011_09_26/2011_09_26_drive_0095_sync`, with `:image_00` for one camera; neighbours in number make a triplet."""
-    cameras: list[str] = ["image_02"]
-    """Camera folders a drive is read from; the first that exists is used by `train_drives`."""
-    static_frames: str | None = None
-    """Name of a list of frames where the camera stands still; they are left out of `train_drives`."""
-    test_scenes: str | None = None
-    """Name of a list of drives that must not be trained on."""
-    baseline_frames: int = Field(400, ge=0)
-    """Training-side laser frames, at most, that the baselines without learning are fitted on."""
-    test_list: str | None = None
-    """Name of a list (`eigen_test`) or path of a file with the frames to score."""
-    allow_missing: bool = False
-    """Score what is there of an incomplete test list, and say "25 of 697" in the table."""
-    hr_size: Size = (384, 1248)
-    """Input of HR-Net; LR-Net sees exactly a third of it (paper, section "Dual Network Architecture")."""
-
-    @model_validator(mode="after")
-    def _sizes(self) -> "Data":
-        if any(side % 96 or side < 192 for side in self.hr_size):
-            raise ValueError(
-                f"hr_size {self.hr_size}: both sides must be multiples of 96, at least 192 (a third, divided by 32, is reflected)"
-            )
-        if self.source == "kitti" and bool(self.train_list) == bool(self.train_drives):
-            raise ValueError("give either train_list or train_drives")
-        return self
-
-    @property
-    def lr_size(self) -> tuple[int, int]:
-        """Input of LR-Net, (height, width)."""
-        return self.hr_size[0] // 3, self.hr_size[1] // 3
-
-
-class Augmentation(Settings):
-    """Random scale and crop (PROTOCOLS of the lineage: SfMLearner, GeoNet); the paper names no flip and no colour change."""
-
-    max_scale: float = Field(1.15, ge=1.0)
-    """Independent enlargement of x and y, uniform in [1, max_scale] (SfMLearner, GeoNet)."""
-    augment_first: bool = True
-    """Scale and crop at full resolution, then down-sample (paper, "Implementation Details")."""
-    beyond_paper_flip: bool = False
-    """Beyond the paper: mirror half of the samples."""
-
-
-class Loss(Settings):
-    """Weights of the paper's total loss; it gives none of them.
-
-    Ours are the first set that learned on KITTI's drive 0095 in a trial of some hundred steps, between the lineage's ends
-    (GeoNet and monodepth2); they were not tuned.
-    """
-
-    photometric: float = 1.0
-    """λ1."""
-    smoothness: float = 0.1
-    """λ2, halved at each coarser scale; acts on mean-normalised inverse depth. GeoNet has 0.5, monodepth2 0.001."""
-    feature: float = 0.01
-    """λ3; small, since learned features can shrink to please it; 0 switches the loss off (the paper argues for it)."""
-    alpha: float = 0.85
-    """Share of SSIM in the photometric loss (paper)."""
-    mean_disparity: float = 10.0
-    """Spatial mean that each image's disparity is divided to, as DDVO codes it (0.1 × the mean); PoseNet's 0.01 fits steps of that size."""
-    scales: int = Field(4, ge=1, le=4)
-    """Resolutions 1/1, 1/2, 1/4, 1/8 (paper)."""
-    beyond_paper_automask: bool = False
-    """Beyond the paper: drop pixels that the unwarped source explains better (monodepth2)."""
-
-
-class Stage(Settings):
-    """One training stage."""
-
-    epochs: int = Field(40, ge=1)
-    """40 + 40 in the paper."""
-    batch_size: int = Field(4, ge=1)
-    """4 in the paper, both stages."""
-    learning_rates: list[tuple[int, float]] = Field([(10, 2e-4), (20, 1e-4), (40, 5e-5)], min_length=1)
-    """(last epoch, rate): the paper's steps. In shorter runs the epochs are stretched in proportion."""
-    beta1: float = 0.9
-    beta2: float = 0.999
-    max_steps: int | None = Field(None, ge=1)
-    """Ends the stage early; None trains all epochs."""
-
-
-class Training(Settings):
-    """Both stages and how they run."""
-
-    encoder: str = "resnet50"
-    """LR-Net's encoder: resnet50, resnet18, mobilenet_v2, or a hierarchical AutoBackbone's name or folder."""
-    pretrained: bool | str = True
-    """ImageNet weights for the encoder (paper), from the hub or its cache; a local folder to take them from; false needs no network."""
-    lr: Stage = Stage()
-    """Stage 1: LR-Net and PoseNet."""
-    hr: Stage = Stage()
-    """Stage 2: HR-Net; its settings are the paper's, its networks are not in this version."""
-    augmentation: Augmentation = Augmentation()
-    loss: Loss = Loss()
-    precision: Literal["float32", "bf16"] = "bf16"
-    """Of the networks; geometry and losses are always float32."""
-    channels_last: bool = True
-    workers: int = Field(2, ge=0)
-    """Loader processes."""
-    accumulate: int = Field(1, ge=1)
-    """Parts that a batch is cut into, for GPUs that cannot hold it whole; batch norm then sees the parts."""
-    checkpoint_every: int = Field(200, ge=1)
-    """Steps between resumable checkpoints."""
-    log_every: int = Field(20, ge=1)
-    """Steps between rows of the log."""
-    panel_every: int = Field(500, ge=1)
-    """Steps between image panels (target, warped, depth, error)."""
-
-
-class Evaluation(Settings):
-    """The protocol of the main table; the field's standard is the default (PROTOCOLS B1)."""
-
-    resize: Literal["depth", "disparity"] = "depth"
-    """What is resized to the ground truth's size; SfMLearner and GeoNet resize depth."""
-    crop: Literal["garg", "eigen", "none"] = "garg"
-    min_depth: float = Field(1e-3, gt=0)
-    max_depth: float = Field(80.0, gt=0)
 
 
 class Profile(Settings):
@@ -213,6 +30,10 @@ class Profile(Settings):
     data: Data
     training: Training = Training()
     evaluation: Evaluation = Evaluation()
+    train: dict[str, dict[str, Any] | None] = Field({"lr": None, "dual": None, "dual_no_sa": None}, min_length=1)
+    """The variants to train, each with settings of its own by dotted name, such as `{training.hr.max_steps: 6}`."""
+    variants: dict[str, Variant] = Field({})
+    """Variants of the profile's own, beside those of `dualdepth/variants.yaml`."""
 
     @model_validator(mode="after")
     def _fits_together(self) -> "Profile":
@@ -222,7 +43,51 @@ class Profile(Settings):
             )
         if (self.data.source == "miniature") != (self.world is not None):
             raise ValueError("data.source: miniature needs a section `world`, and only it")
+        for name in self.train:
+            if self.train[name]:
+                self.of_variant(name)
+            start = self.variant(name).starts_from
+            if start is not None and start not in self.train:
+                raise ValueError(f"train: {name} starts from {start}, which is not trained; name it too")
+            if start is not None and self.variant(start).network != "lr":
+                raise ValueError(f"train: {name} starts from {start}, which is no variant of stage 1")
         return self
+
+    def variant(self, name: str) -> Variant:
+        """A variant by name, one of the profile's own or a standard one.
+
+        Raises:
+            InputError: there is none; the message names the nearest.
+        """
+        known = standard_variants() | self.variants
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1, cutoff=0.0)[0]
+            raise InputError(f"variant {name!r} is unknown; did you mean {near}? There are {', '.join(known)}")
+        return known[name]
+
+    def of_variant(self, name: str) -> "Profile":
+        """The profile as a variant trains with it: its own settings and those of `train` put in.
+
+        Raises:
+            InputError: an unknown variant or setting, or values that do not fit.
+        """
+        changes = self.variant(name).set | (self.train.get(name) or {})
+        values = self.model_dump()
+        for dotted, value in changes.items():
+            *sections, last = dotted.split(".")
+            place = values
+            for section in sections:
+                place = place.get(section) if isinstance(place, dict) else None
+            if not isinstance(place, dict):
+                raise InputError(f"variant {name}: unknown setting {dotted}")
+            place[last] = value
+        try:
+            profile = type(self).model_validate(values | {"train": {"lr": None}})
+        except ValidationError as error:
+            raise InputError(f"variant {name}: {'; '.join(_explain(e) for e in error.errors())}") from None
+        if self.variant(name).stage == "hr" and not profile.training.augmentation.augment_first:
+            raise InputError(f"variant {name}: training.augmentation.augment_first must be true at high resolution")
+        return profile
 
     def digest(self, *sections: str) -> str:
         """Short content hash of the named sections (dots go deeper), for stamps and for what to run again."""
@@ -233,6 +98,13 @@ class Profile(Settings):
                 value = getattr(value, part)
             values[section] = value.model_dump(mode="json") if isinstance(value, BaseModel) else value
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:16]
+
+
+@functools.cache
+def standard_variants() -> dict[str, Variant]:
+    """The variants of `dualdepth/variants.yaml`, in its order."""
+    values = yaml.safe_load((PROFILES.parent / "variants.yaml").read_text(encoding="utf-8"))
+    return {name: Variant.model_validate(value) for name, value in values.items()}
 
 
 def profile_file(name: str) -> Path:
@@ -268,6 +140,8 @@ def load_profile(name: str) -> Profile:
         return Profile.model_validate({str(key): value for key, value in values.items()} | {"name": path.stem})
     except ValidationError as error:
         raise InputError(f"{path}: {'; '.join(_explain(e) for e in error.errors())}") from None
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
 
 
 def _explain(error: Any) -> str:
@@ -277,8 +151,9 @@ def _explain(error: Any) -> str:
         return f"{where}: {error['msg']}"
     section: type[BaseModel] = Profile
     for part in error["loc"][:-1]:
-        annotation = section.model_fields[part].annotation
-        candidates = [annotation, *getattr(annotation, "__args__", ())]
-        section = next(c for c in candidates if isinstance(c, type) and issubclass(c, BaseModel))
+        if part in section.model_fields:  # else the name of an entry, such as a variant's
+            annotation = section.model_fields[str(part)].annotation
+            candidates = [annotation, *getattr(annotation, "__args__", ())]
+            section = next(c for c in candidates if isinstance(c, type) and issubclass(c, BaseModel))
     near = difflib.get_close_matches(str(error["loc"][-1]), section.model_fields, n=1, cutoff=0.0)
     return f"unknown setting {where}; did you mean {near[0]}?"

@@ -75,6 +75,13 @@ def thicken(sparse: np.ndarray, pixels: int = 5) -> np.ndarray:
     return np.where(grown > 0, 1.0 / np.maximum(grown, 1e-6), 0)
 
 
+def point_errors(prediction: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """|prediction − truth| / truth (H, W) at the points of a sparse truth (0 = none), enlarged to show; NaN elsewhere."""
+    error = np.where(truth > 0, np.abs(prediction - truth) / np.maximum(truth, 1e-3), 0)
+    grown = thicken(error + (truth > 0) * 1e-6)  # keeps the smallest error of a neighbourhood visible as a point
+    return np.where(grown > 0, grown, np.nan)
+
+
 def depth_comparison(
     images: Sequence[np.ndarray], truths: Sequence[np.ndarray], predictions: Sequence[np.ndarray], titles: Sequence[str]
 ) -> Picture:
@@ -89,12 +96,10 @@ def depth_comparison(
     figure = Picture(figsize=(13, 1.35 * len(images) + 0.2), layout="constrained")
     axes = figure.subplots(len(images), 4, squeeze=False)
     for row, image, truth, prediction, title in zip(axes, images, truths, predictions, titles):
-        error = np.where(truth > 0, np.abs(prediction - truth) / np.maximum(truth, 1e-3), 0)
         show_image(row[0], image, title)
         show_depth(row[1], thicken(truth), "laser", bar=False)
         show_depth(row[2], prediction, "predicted")
-        grown = thicken(error + (truth > 0) * 1e-6)  # keeps the smallest error of a neighbourhood visible as a point
-        show_error(row[3], np.where(grown > 0, grown, np.nan), "relative error")
+        show_error(row[3], point_errors(prediction, truth), "relative error")
     return figure
 
 
@@ -174,4 +179,19 @@ def learning_curve(logs: dict[str, pd.DataFrame]) -> Picture:
         axes.set_xlabel("step")
         axes.grid(alpha=0.3)
     axes.legend(fontsize=7)
+    return figure
+
+
+def cost_bars(costs: pd.DataFrame) -> Picture:
+    """Operations, and time in both precisions, of networks by name (index): columns gmacs, latency_ms, latency_ms_bf16, device."""
+    figure = Picture(figsize=(12, 0.4 * len(costs) + 1), layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=True)
+    places = np.arange(len(costs))[::-1]
+    left.barh(places, costs["gmacs"], color="0.6")
+    left.set_yticks(places, costs.index, fontsize=8)
+    left.set_title("10⁹ multiply-accumulates", fontsize=9, loc="left")
+    right.barh(places + 0.2, costs["latency_ms"], 0.4, label="float32")
+    right.barh(places - 0.2, costs["latency_ms_bf16"], 0.4, label="bf16")
+    right.set_title(f"milliseconds an image on {costs['device'].iloc[0]}", fontsize=9, loc="left")
+    right.legend(fontsize=7)
     return figure

@@ -1,7 +1,9 @@
 """From images to disparities with trained weights."""
 
+import dataclasses
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -13,43 +15,57 @@ from dualdepth.data.augmentation import resize
 from dualdepth.data.kitti import read_image
 from dualdepth.data.loading import low_resolution, to_unit
 from dualdepth.errors import InputError
-from dualdepth.networks.lr_net import LRNet
+from dualdepth.networks.architecture import Architecture
 
 
-def load_depth_net(weights: str | Path) -> tuple[nn.Module, tuple[int, int]]:
-    """The depth network of a training, in eval mode, and its HR size (height, width).
+class DepthNet(NamedTuple):
+    """A depth network in eval mode and what it expects."""
+
+    net: nn.Module
+    architecture: Architecture
+    hr_size: tuple[int, int]
+    """(height, width) that frames are resized to; LR-Net sees a third of it."""
+
+
+def load_depth_net(weights: str | Path) -> DepthNet:
+    """The depth network of a training.
 
     Raises:
         InputError: the weights or their card cannot be read or do not fit.
     """
-    network = load_card(weights).get("network")
+    card = load_card(weights)
     try:
-        net, size = LRNet(network["encoder"]), tuple(network["hr_size"])
-    except (KeyError, TypeError) as error:
+        architecture = Architecture(**{field.name: card[field.name] for field in dataclasses.fields(Architecture)})
+        size = tuple(card["hr_size"])
+    except (KeyError, TypeError, ValueError) as error:
         raise InputError(
-            f"{Path(weights).with_suffix('.json')}: names no network ({error!r}); keep the card that was written with it"
+            f"{Path(weights).with_suffix('.json')}: names no network of this project ({error}); keep the card that was written with it"
         ) from None
+    net = architecture.build()
     load_weights(weights, net, prefix="depth_net.")
-    return net.eval(), size
+    return DepthNet(net.eval(), architecture, size)
 
 
 @torch.inference_mode()
 def predict_disparities(
-    net: nn.Module, paths: Sequence[str | Path], hr_size: tuple[int, int], *, device: str | torch.device = "cpu", batch_size: int = 4
+    depth_net: DepthNet, paths: Sequence[str | Path], *, device: str | torch.device = "cpu", batch_size: int = 4
 ) -> np.ndarray:
     """Disparities of image files, at the network's own size.
 
-    The whole frame is resized to `hr_size`; LR-Net sees it averaged 3×3, as in training.
+    The whole frame is resized to the HR size; LR-Net sees it averaged 3×3, as in training.
 
     Returns:
         (N, h, w) float32, positive, of unknown scale.
     """
+    net, architecture, hr_size = depth_net
     net = net.to(device)
     maps = []
     with tqdm(total=len(paths), desc="predicting", unit="image") as bar:
         for batch in _batches(paths, batch_size):
             frames = np.stack([resize(read_image(path), hr_size) for path in batch]).transpose(0, 3, 1, 2)
-            images = low_resolution(to_unit(torch.from_numpy(np.ascontiguousarray(frames)))[:, None])[:, 0]
+            images = to_unit(torch.from_numpy(np.ascontiguousarray(frames)))
+            if architecture.sees_low_resolution:
+                images = low_resolution(images[:, None])[:, 0]
             maps.append(net(images.to(device), scales=1).disparities[0][:, 0].float().cpu().numpy())
             bar.update(len(batch))
     return np.concatenate(maps)

@@ -1,10 +1,13 @@
 """Keep what a run made: its tables and figures as a committed snapshot, its executed tiny notebooks as the committed ones."""
 
 import argparse
+import ast
 import shutil
 import sys
+from pathlib import Path
 
 import nbformat
+import papermill
 
 from dualdepth.atomic import atomic_path
 from dualdepth.errors import InputError, exit_on_input_error
@@ -36,10 +39,7 @@ def publish_notebooks() -> int:
     run = Run("tiny")
     stored = 0
     for source in sorted((run.root / "notebooks").glob("*.ipynb")):
-        copies = sorted((run.results / "notebooks").glob(f"{source.stem}*.ipynb"))
-        if not copies:
-            raise InputError(f"results/tiny/notebooks holds no {source.name}: run `make reproduce` first")
-        notebook = nbformat.read(copies[0], as_version=4)
+        notebook = _default_copy(source, run.results / "notebooks")
         notebook.metadata.pop("papermill", None)
         notebook.metadata.pop("widgets", None)
         notebook.cells = [cell for cell in notebook.cells if "injected-parameters" not in cell.metadata.get("tags", [])]
@@ -60,6 +60,21 @@ def publish_notebooks() -> int:
         stored += 1
     print(f"notebooks: {stored} stored")
     return stored
+
+
+def _default_copy(source: Path, folder: Path) -> nbformat.NotebookNode:
+    """The executed copy whose parameters are those written in the notebook.
+
+    Raises:
+        InputError: there is none.
+    """
+    defaults = {k: ast.literal_eval(v["default"]) for k, v in papermill.inspect_notebook(str(source)).items()}
+    for copy in sorted(folder.glob(f"{source.stem}*.ipynb")):
+        notebook = nbformat.read(copy, as_version=4)
+        given = notebook.metadata.papermill.parameters
+        if all(str(given[k]) == str(v) for k, v in defaults.items() if k in given):
+            return notebook
+    raise InputError(f"{folder}: holds no copy of {source.name} with its own parameters; run `make reproduce` first")
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -29,11 +29,16 @@ CODE = {
         *("data_scripts.prepare_data", "data_scripts.export_depth", "preparation"),
         *("data.kitti", "data.triplets", "data.lidar", "data.depth_maps"),
     ),
-    "train": ("networks", "geometry", "losses", "stages", "training", "data.augmentation", "data.loading", "data.kitti", "data.triplets"),
-    "evaluate": (
-        *("evaluation", "predict", "scoring", "tables", "paper", "plots", "networks"),
+    "train_lr": (
+        *("networks.encoders", "networks.decoder", "networks.lr_net", "networks.pose_net", "geometry", "losses", "stages", "training"),
+        *("data.augmentation", "data.loading", "data.kitti", "data.triplets"),
+    ),
+    "train_hr": ("networks.hr_net", "networks.attention", "networks.dual_net", "networks.architecture", "hr_stage"),
+    "predict": (
+        *("predict", "scoring", "networks", "evaluation.depth", "evaluation.baselines"),
         *("data.augmentation", "data.loading", "data.kitti", "data.depth_maps"),
     ),
+    "tables": ("tables", "paper", "plots", "evaluation"),
 }
 """Modules whose code shapes a step's result; a change in one of them makes the step stale."""
 
@@ -79,15 +84,22 @@ class Run:
         """Released weights of one training."""
         return self.training(variant, seed) / "model.safetensors"
 
-    def settings_digest(self, stage: str) -> str:
-        """Digest of the settings that shape a stage's weights; how it is logged and loaded is not among them."""
-        return self.profile.digest("data.hr_size", f"training.{stage}", *_SHAPING)
+    def settings_digest(self, variant: str) -> str:
+        """Digest of the settings that shape a variant's weights; how it is logged and loaded is not among them."""
+        chosen, profile = self.profile.variant(variant), self.profile.of_variant(variant)
+        network = chosen.model_dump_json(exclude={"label", "about", "set"})
+        return _short_digest(network, profile.digest("data.hr_size", f"training.{chosen.stage}", *_SHAPING))
 
-    def recipe(self, stage: str) -> str:
-        """Digest of all that shapes a training's weights, the seed aside: settings, code, and the prepared triplets."""
-        settings = self.settings_digest(stage)
+    def training_code(self, variant: str) -> str:
+        """Digest of the code that shapes a variant's weights."""
+        return code_digest("train_lr") if self.profile.variant(variant).stage == "lr" else code_digest("train_lr", "train_hr")
+
+    def recipe(self, variant: str, seed: int) -> str:
+        """Digest of all that shapes a training's weights, its own seed aside: settings, code, prepared triplets, stage 1's weights."""
         data = [file_digest(self.require(self.prepared / name, "02_prepare_data")) for name in ("triplets.csv", "identity.json")]
-        return hashlib.sha256(f"{settings} {code_digest('train')} {data}".encode()).hexdigest()[:16]
+        start = self.profile.variant(variant).starts_from
+        data += [file_digest(self.weights(start, seed))] if start else []
+        return _short_digest(self.settings_digest(variant), self.training_code(variant), str(data))
 
     def require(self, path: Path, notebook: str) -> Path:
         """`path`, checked to be there.
@@ -137,6 +149,10 @@ class Run:
             return subprocess.run(["git", "-C", str(self.root), *words], capture_output=True, text=True, check=False).stdout.strip()
 
         return git("rev-parse", "HEAD") or "unknown", bool(git("status", "--porcelain"))
+
+
+def _short_digest(*parts: str) -> str:
+    return hashlib.sha256(" ".join(parts).encode()).hexdigest()[:16]
 
 
 def device_name() -> str:

@@ -5,20 +5,21 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pandas as pd
 import torch
 
 from dualdepth.atomic import atomic_path, write_json, write_text
-from dualdepth.config import Evaluation
 from dualdepth.data.depth_maps import DepthMaps, load_ground_truth
 from dualdepth.data.kitti import Frame, image_path
 from dualdepth.evaluation import baselines
 from dualdepth.evaluation.depth import evaluate, resized, summary
-from dualdepth.networks.lr_net import LRNet
-from dualdepth.predict import load_depth_net, predict_disparities
+from dualdepth.networks.architecture import Architecture
+from dualdepth.predict import DepthNet, load_depth_net, predict_disparities
 from dualdepth.preparation import Sources
-from dualdepth.results import Run
+from dualdepth.results import Run, code_digest, file_digest
+from dualdepth.sections import Evaluation
 
 
 def scored_frames(run: Run) -> list[Frame]:
@@ -44,18 +45,34 @@ def image_paths(run: Run) -> list[Path]:
     return [path for frame in scored_frames(run) if (path := image_path(root, frame))]
 
 
-def score_training(run: Run, variant: str, seed: int, device: str = "cpu") -> pd.DataFrame:
+def dense_truth(run: Run, image: int) -> np.ndarray | None:
+    """Exact depth (H, W) of a scored image in metres, 0 in the sky: the synthetic world has it, real KITTI does not."""
+    frame = scored_frames(run)[image]
+    path = run.work / "miniature" / "dense_depth" / frame.drive.split("/")[-1] / f"{frame.index:010d}.npy"
+    return np.load(path) if run.profile.world else None
+
+
+def label_map(run: Run, image: int) -> np.ndarray | None:
+    """Cityscapes training ids (H, W) of a scored image: the synthetic world has them."""
+    frame = scored_frames(run)[image]
+    path = run.work / "miniature" / "labels" / frame.drive.split("/")[-1] / f"{frame.index:010d}.png"
+    return cv2.imread(str(path), cv2.IMREAD_UNCHANGED) if run.profile.world else None
+
+
+def score_training(run: Run, variant: str, seed: int) -> pd.DataFrame:
     """Predict and score the test frames with a training's last weights; both are kept beside the weights and reused while they fit.
 
     Writes `disparities.npy` (N, h, w) as the field saves it, and `per_image.csv`.
     """
-    weights = run.require(run.weights(variant, seed), "03_train_lr")
+    stage = run.profile.variant(variant).stage
+    weights = run.require(
+        run.weights(variant, seed), f"{'03_train_lr' if stage == 'lr' else '04_train_hr'}, variant {variant}, seed {seed},"
+    )
     folder = run.training(variant, seed)
     made_from = _made_from(run, weights)
     if _is_current(folder / "per_image.json", made_from):
         return pd.read_csv(folder / "per_image.csv", index_col="image")
-    net, size = load_depth_net(weights)
-    disparities = predict_disparities(net, image_paths(run), size, device=device)
+    disparities = predict_disparities(load_depth_net(weights), image_paths(run), device=device())
     with atomic_path(folder / "disparities.npy") as partial:
         np.save(partial, disparities)
     scores = evaluate(disparities, truth(run), name=str(folder / "disparities.npy"), kind="disparity", **protocol(run.profile.evaluation))
@@ -64,24 +81,36 @@ def score_training(run: Run, variant: str, seed: int, device: str = "cpu") -> pd
     return scores
 
 
-def scaled_depth(run: Run, variant: str, seed: int, image: int) -> np.ndarray:
-    """Predicted depth (H, W) of a scored image in metres, at the ground truth's size, median-scaled as it is scored."""
-    settings, depth = run.profile.evaluation, truth(run)[image]
-    folder = run.training(variant, seed)
-    disparity = np.load(folder / "disparities.npy", mmap_mode="r")[image]
-    scores = pd.read_csv(folder / "per_image.csv", index_col="image")
-    if settings.resize == "depth":
-        enlarged = resized(1.0 / disparity, depth.shape)
-    else:
-        enlarged = 1.0 / resized(np.asarray(disparity), depth.shape)
-    return np.clip(enlarged * scores.loc[image, "scale_ratio"], settings.min_depth, settings.max_depth)
+class Predictions:
+    """What a training predicts for the scored frames, with the ratios that its scoring found."""
+
+    def __init__(self, run: Run, variant: str, seed: int) -> None:
+        self.scores = score_training(run, variant, seed)
+        """Per image, indexed by its place among the scored frames."""
+        self.disparities = np.load(run.training(variant, seed) / "disparities.npy", mmap_mode="r")
+        """(N, h, w) at the network's own size."""
+        self._settings, self._truth = run.profile.evaluation, truth(run)
+
+    def depth(self, image: int, size: tuple[int, int] | None = None) -> np.ndarray:
+        """Depth of a scored image in metres, median-scaled and clamped as it is scored, resized to `size` (H, W) or the ground truth's."""
+        settings, size = self._settings, size or self._truth[image].shape
+        disparity = np.asarray(self.disparities[image])
+        enlarged = resized(1.0 / disparity, size) if settings.resize == "depth" else 1.0 / resized(disparity, size)
+        return np.clip(enlarged * self.scores.loc[image, "scale_ratio"], settings.min_depth, settings.max_depth)
+
+
+def device() -> str:
+    """Where predictions are made."""
+    return "cuda" if torch.cuda.is_available() else "cpu"
 
 
 def score_untrained(run: Run, seed: int) -> pd.DataFrame:
-    """Score the network of the same seed before its first step: what the architecture alone gives."""
+    """Score LR-Net of the same seed before its first step: what the architecture alone gives."""
     torch.manual_seed(seed)
-    net = LRNet(run.profile.training.encoder, run.profile.training.pretrained).eval()
-    disparities = predict_disparities(net, image_paths(run), run.profile.data.hr_size)
+    training = run.profile.training
+    architecture = Architecture("lr", training.encoder)
+    net = DepthNet(architecture.build(training.pretrained).eval(), architecture, run.profile.data.hr_size)
+    disparities = predict_disparities(net, image_paths(run), device=device())
     return evaluate(disparities, truth(run), name="untrained", kind="disparity", **protocol(run.profile.evaluation))
 
 
@@ -118,13 +147,11 @@ def means(scores: pd.DataFrame) -> dict[str, Any]:
 
 
 def _made_from(run: Run, weights: Path) -> dict[str, Any]:
-    from dualdepth.results import code_digest, file_digest
-
     return {
         "weights": file_digest(weights),
         "truth": file_digest(run.prepared / "ground_truth.npz"),
         "evaluation": run.profile.digest("evaluation"),
-        "code": code_digest("evaluate"),
+        "code": code_digest("predict"),
     }
 
 

@@ -14,10 +14,11 @@ from torch import nn
 from tqdm import tqdm
 
 from dualdepth.checkpoints import load_checkpoint, save_checkpoint, save_weights
-from dualdepth.config import Profile, Stage
+from dualdepth.config import Profile
 from dualdepth.data.loading import StatelessBatches, TripletDataset, make_loader
 from dualdepth.data.triplets import Triplet
 from dualdepth.errors import InputError
+from dualdepth.sections import Stage
 from dualdepth.training_log import TrainingLog
 
 

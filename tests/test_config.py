@@ -2,9 +2,10 @@
 
 import pytest
 
-from dualdepth.config import PROFILES, Stage, load_profile
+from dualdepth.config import PROFILES, load_profile
 from dualdepth.errors import InputError
 from dualdepth.paper import RECIPE
+from dualdepth.sections import Stage
 from dualdepth.training import learning_rate, total_steps
 
 SHIPPED = sorted(path.stem for path in PROFILES.glob("*.yaml"))

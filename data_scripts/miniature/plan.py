@@ -10,7 +10,7 @@ from data_scripts.miniature import formats
 from data_scripts.miniature.drives import CAMERA_HEIGHT, PERIOD, Drive, camera_pose, drive
 from data_scripts.miniature.frames import Shot
 from data_scripts.miniature.street import Plan, build_street
-from dualdepth.config import World
+from dualdepth.sections import World
 
 RAW, ODOMETRY, MAKE3D = range(3)
 """Kinds of streets: part of their seeds, so that no two share a street."""

@@ -33,6 +33,7 @@ def reproduce(arguments: argparse.Namespace) -> int:
     Raises:
         InputError: bad profile, seeds or paths, or a live run of the same profile.
     """
+    import shutil
     import subprocess
     import sys
     from pathlib import Path
@@ -55,6 +56,8 @@ def reproduce(arguments: argparse.Namespace) -> int:
         config[name] = str(Path(given).resolve()) if given else ""
     settings = [f"{k}={v}" for k, v in config.items()]
     command = [sys.executable, "-m", "snakemake", "--cores", arguments.cores, "--nolock", "--rerun-incomplete", "--quiet", "all"]
+    if shutil.which("nvidia-smi"):
+        command += ["--resources", "gpu=1"]  # one training at a time has the GPU to itself
     with locked(run.work / "lock"):
         done = subprocess.run([*command, *arguments.snakemake, "--config", *settings], cwd=run.root, check=False)
     if done.returncode:

@@ -15,7 +15,7 @@ def add_train(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -
 def train(arguments: argparse.Namespace) -> int:
     """Train and say where the weights are."""
     from dualdepth.results import Run
-    from dualdepth.variants import train_variant
+    from dualdepth.trainings import train_variant
 
     print(train_variant(Run(arguments.profile), arguments.variant, arguments.seed))
     return 0

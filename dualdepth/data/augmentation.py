@@ -6,7 +6,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from dualdepth.config import Augmentation
+from dualdepth.sections import Augmentation
 
 
 class Window(NamedTuple):

@@ -10,11 +10,11 @@ from torch import Tensor
 from torch.nn import functional as F
 from torch.utils.data import DataLoader, Dataset, Sampler
 
-from dualdepth.config import Augmentation
 from dualdepth.data.augmentation import augment
 from dualdepth.data.kitti import read_image
 from dualdepth.data.triplets import Triplet
 from dualdepth.errors import InputError
+from dualdepth.sections import Augmentation
 
 
 class TripletDataset(Dataset):

@@ -5,7 +5,7 @@ import statistics
 import time
 import weakref
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
@@ -55,7 +55,9 @@ def count(model: torch.nn.Module, *inputs: torch.Tensor) -> Cost:
     return Cost(params, flops // 2)
 
 
-def latency(model: torch.nn.Module, *inputs: torch.Tensor, repeats: int = 10, warmup: int = 2) -> Latency:
+def latency(
+    model: torch.nn.Module, *inputs: torch.Tensor, repeats: int = 10, warmup: int = 2, precision: Literal["float32", "bf16"] = "float32"
+) -> Latency:
     """Measure `model(*inputs)` in eval mode on the device of its inputs.
 
     Args:
@@ -63,11 +65,13 @@ def latency(model: torch.nn.Module, *inputs: torch.Tensor, repeats: int = 10, wa
         *inputs: batch as it will be used, such as (1, 3, 384, 1248).
         repeats: timed runs, of which the median counts.
         warmup: runs before them, which choose kernels and fill caches.
+        precision: `bf16` runs under autocast, with the weights in float32.
     """
     device = inputs[0].device
     cuda = device.type == "cuda"
     times = []
-    with _eval_mode(model), torch.inference_mode():
+    autocast = torch.autocast(device.type, torch.bfloat16, enabled=precision == "bf16")
+    with _eval_mode(model), torch.inference_mode(), autocast:
         for _ in range(warmup):
             model(*inputs)
         for _ in range(repeats):

@@ -70,6 +70,8 @@ class Pixels(NamedTuple):
     """(P,) places in the flattened (H, W) map, to look up distance, region or label."""
     scale_ratio: float
     """What the prediction was multiplied by; 1 without median scaling."""
+    unscaled: Array
+    """(P,) float64, the resized prediction as depth, before it was scaled and clamped."""
 
 
 def crop_box(crop: str, height: int, width: int) -> tuple[slice, slice]:
@@ -158,8 +160,8 @@ def valid_pixels(prediction: Array, ground_truth: Array, protocol: Protocol) -> 
     measured = xp.asarray(ground_truth.ravel()[index], dtype=xp.float64)
 
     ratio = median(measured) / median(prediction) if protocol.median_scaling else 1.0
-    prediction = xp.clip(prediction * ratio, protocol.min_depth, protocol.max_depth)
-    return Pixels(measured, prediction, index, ratio)
+    scaled = xp.clip(prediction * ratio, protocol.min_depth, protocol.max_depth)
+    return Pixels(measured, scaled, index, ratio, prediction)
 
 
 def evaluate(

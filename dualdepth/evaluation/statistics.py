@@ -57,3 +57,45 @@ def mean_std(values: Sequence[float] | np.ndarray) -> tuple[float, float]:
     if not values.size:
         raise InputError("mean over seeds: no values")
     return float(values.mean()), float(values.std(ddof=1)) if values.size > 1 else float("nan")
+
+
+class Comparison(NamedTuple):
+    """Two trained methods over the same images and seeds; the difference is a − b."""
+
+    mean_a: float
+    mean_b: float
+    difference: float
+    low: float
+    high: float
+    """95 % interval of the seeds' mean difference, over images."""
+    spread: float
+    """Standard deviation over seeds of the difference; NaN with one seed."""
+    seeds: int
+
+    @property
+    def clear_of_images(self) -> bool:
+        """Whether the interval over images is clear of zero."""
+        return self.low > 0 or self.high < 0
+
+    @property
+    def clear_of_seeds(self) -> bool | None:
+        """Whether the difference is larger than its spread over seeds; None with one seed."""
+        return None if np.isnan(self.spread) else abs(self.difference) > self.spread
+
+
+def compare(a: Sequence[Sequence[float]], b: Sequence[Sequence[float]], *, seed: int = 0) -> Comparison:
+    """Compare per-image values of two methods that were trained with the same seeds.
+
+    Args:
+        a: (S, N): of each seed, the images' values of one method.
+        b: (S, N): of the other, same seeds, same images.
+        seed: of the bootstrap's draws.
+
+    Raises:
+        InputError: shapes that differ, or values that are not finite.
+    """
+    a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
+    if a.ndim != 2 or a.shape != b.shape:
+        raise InputError(f"comparison: shapes {a.shape} and {b.shape}; give (seeds, images) of both methods, the same")
+    spread = mean_std((a - b).mean(axis=1))[1]
+    return Comparison(float(a.mean()), float(b.mean()), *paired_bootstrap(a.mean(0), b.mean(0), seed=seed), spread, len(a))

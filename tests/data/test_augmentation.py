@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from dualdepth.config import Augmentation
 from dualdepth.data.augmentation import augment, draw_window, full_window, resize, view, view_intrinsics
+from dualdepth.sections import Augmentation
 
 RAW = (100, 330)
 K = np.array([[190.0, 0, 171.3], [0, 205.0, 46.8], [0, 0, 1]])

@@ -8,11 +8,11 @@ import pytest
 import torch
 from small_kitti import DRIVE, write_drive
 
-from dualdepth.config import Augmentation
 from dualdepth.data.kitti import read_image
 from dualdepth.data.loading import StatelessBatches, TripletDataset, low_resolution, make_loader, to_unit
 from dualdepth.data.triplets import Triplet, drive_triplets, load_triplets, write_targets
 from dualdepth.errors import InputError
+from dualdepth.sections import Augmentation
 
 HR = (96, 96)
 

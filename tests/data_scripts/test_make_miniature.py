@@ -14,10 +14,10 @@ from scipy.io import loadmat
 from data_scripts import make_miniature
 from data_scripts.miniature import formats
 from data_scripts.miniature.frames import grid_intrinsics
-from dualdepth.config import World
 from dualdepth.data import kitti
 from dualdepth.data.lidar import ground_truth
 from dualdepth.errors import InputError
+from dualdepth.sections import World
 
 REPOSITORY = Path(__file__).parents[2]
 SETTINGS = {

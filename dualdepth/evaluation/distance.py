@@ -1,0 +1,54 @@
+"""Near and far parts of the depth metrics (paper, table "Evaluation on distant objects")."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from dualdepth.evaluation.depth import Protocol, errors, median, valid_pixels
+
+FAR = 20.0
+"""Metres: pixels whose ground truth is more than this are distant (paper)."""
+PARTS = ("<= 20 m", "> 20 m")
+
+
+def evaluate_near_far(
+    predictions: Sequence[np.ndarray], ground_truths: Sequence[np.ndarray], *, own_ratio: bool = False, **protocol: Any
+) -> pd.DataFrame:
+    """The seven metrics of the near and the far pixels of each image.
+
+    The protocol is `evaluate`'s; the ground truth says which part a pixel belongs to. An assumption, since the paper is silent: each image
+    has one median ratio, of all its valid pixels; with `own_ratio` each part has its own.
+
+    Args:
+        predictions: (h, w) each, positive.
+        ground_truths: (H, W) metres each, 0 where there is no measurement.
+        own_ratio: scale each part by its own median ratio.
+        **protocol: fields of `Protocol`.
+
+    Returns:
+        One row per image and part that has pixels, indexed by (`image`, `distance`): the metrics and `valid_pixels`.
+    """
+    settings, rows = Protocol(**protocol), {}
+    for number, ground_truth in enumerate(ground_truths):
+        pixels = valid_pixels(predictions[number], ground_truth, settings)
+        if pixels is None:
+            continue
+        far = pixels.ground_truth > FAR
+        for part, mask in zip(PARTS, (~far, far)):
+            if mask.any():
+                truth, depth = pixels.ground_truth[mask], pixels.prediction[mask]
+                if own_ratio:
+                    raw = pixels.unscaled[mask]
+                    depth = np.clip(raw * (median(truth) / median(raw)), settings.min_depth, settings.max_depth)
+                rows[number, part] = errors(truth, depth) | {"valid_pixels": int(mask.sum())}
+    return pd.DataFrame.from_dict(rows, orient="index").rename_axis(["image", "distance"])
+
+
+def far_share(frame: pd.DataFrame) -> float:
+    """Share of the valid pixels that are far, over all images of `evaluate_near_far`."""
+    pixels = frame["valid_pixels"].groupby("distance").sum()
+    total = pixels.sum()
+    return float(pixels.get(PARTS[1], 0) / total) if total else math.nan

@@ -1,0 +1,82 @@
+"""SA-Attention: LR-Net's deepest features, bundled with those of similar positions (paper, section "SA-Attention Module")."""
+
+from typing import Literal, get_args
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+WIDTH = 128
+"""Channels of the embedding f′; fitted to the paper's overhead table."""
+Similarity = Literal["dot", "cosine", "l1", "l2"]
+Normalise = Literal["none", "mean", "softmax"]
+STARTING_GAIN = {("dot", "none"): 0.1, ("dot", "mean"): 0.35, ("cosine", "none"): 0.03}
+"""What the embedding's first weights are multiplied by, so that f″ starts near the scale of f: with 52 positions of 128 channels the
+literal form, cubic in f′, starts a thousand times larger. Other settings need no such start. An assumption; the paper is silent."""
+
+
+class SelfAssembledAttention(nn.Module):
+    """f″_j = Σ_i w_ij f′_i over all positions i, where f′ embeds LR features, colours and coordinates (paper's two equations).
+
+    Args:
+        channels: of LR-Net's deepest map.
+        similarity: w_ij: `dot` is the paper's f′_i · f′_j; `cosine`, `l1`, `l2` are the choices it names, distances d as 1 / (1 + d).
+        normalise: `none` is the paper's; `mean` divides by the number of positions, `softmax` makes the weights of a position sum to 1.
+        mixing: False gives f′ itself, the same size without attention.
+    """
+
+    def __init__(self, channels: int, similarity: Similarity = "dot", normalise: Normalise = "none", mixing: bool = True) -> None:
+        super().__init__()
+        for value, known in ((similarity, Similarity), (normalise, Normalise)):
+            if value not in get_args(known):
+                raise ValueError(f"{value!r} is unknown: choose one of {', '.join(get_args(known))}")
+        self.similarity, self.normalise, self.mixing = similarity, normalise, mixing
+        self.embed = nn.Conv2d(channels + 3 + 2, WIDTH, 1)
+        if mixing:
+            with torch.no_grad():
+                self.embed.weight.mul_(STARTING_GAIN.get((similarity, normalise), 1.0))
+        self.scale: Tensor | None = None
+        """Root mean square of the last training batch's f″ (0-d)."""
+
+    def forward(self, features: Tensor, image: Tensor) -> Tensor:
+        """Assembled features (B, 128, h, w) of features (B, C, h, w) and the image (B, 3, H, W) in [0, 1]; float32 throughout."""
+        with torch.autocast(features.device.type, enabled=False):
+            features = features.float()
+            _, _, h, w = features.shape
+            colours = F.adaptive_avg_pool2d(image.float(), (h, w))
+            embedded = self.embed(torch.cat([features, colours, coordinates(features)], dim=1))  # f′ (B, 128, h, w)
+            if not self.mixing:
+                assembled = embedded
+            else:
+                f = embedded.flatten(2)  # (B, 128, h·w)
+                assembled = (f @ self.weights(f)).unflatten(2, (h, w))  # f″_j = Σ_i f′_i w_ij
+            if self.training:
+                self.scale = assembled.detach().square().mean().sqrt()
+            return assembled
+
+    def weights(self, f: Tensor) -> Tensor:
+        """w_ij (B, N, N) of embedded features (B, C, N)."""
+        if self.similarity == "dot":
+            w = f.mT @ f
+        elif self.similarity == "cosine":
+            unit = F.normalize(f, dim=1)
+            w = unit.mT @ unit
+        else:
+            order = 1 if self.similarity == "l1" else 2
+            w = 1.0 / (1.0 + distances(f, order))
+        if self.normalise == "mean":
+            return w / f.shape[2]
+        return w.softmax(dim=1) if self.normalise == "softmax" else w
+
+
+def distances(f: Tensor, order: int) -> Tensor:
+    """L1 or L2 distances (B, N, N) between the columns of (B, C, N); the ε keeps L2's gradient finite at equal columns."""
+    difference = f.unsqueeze(3) - f.unsqueeze(2)
+    return difference.abs().sum(1) if order == 1 else difference.square().sum(1).add(1e-8).sqrt()
+
+
+def coordinates(features: Tensor) -> Tensor:
+    """Coordinates x, y of each position, from −1 at the first to 1 at the last: (B, 2, h, w)."""
+    b, _, h, w = features.shape
+    y, x = torch.meshgrid(torch.linspace(-1, 1, h), torch.linspace(-1, 1, w), indexing="ij")
+    return torch.stack([x, y]).to(features).expand(b, 2, h, w)
