@@ -1,11 +1,14 @@
 """Speed, measured in one run on the machine at hand: `make bench`. Quote ratios and medians, not single times."""
 
 import argparse
+import multiprocessing
+import resource
 import statistics
 import sys
 import tempfile
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +16,7 @@ import cv2
 import numpy as np
 import pandas as pd
 import torch
+from torch import nn
 from torch.utils.data import default_collate
 from tqdm import tqdm
 
@@ -20,7 +24,10 @@ from dualdepth.atomic import write_text
 from dualdepth.config import Profile, load_profile
 from dualdepth.data.loading import TripletDataset
 from dualdepth.data.triplets import Triplet
-from dualdepth.networks.lr_net import LRNet
+from dualdepth.evaluation.cost import latency
+from dualdepth.hr_stage import HRStage
+from dualdepth.networks.architecture import Architecture
+from dualdepth.networks.pose_net import PoseNet
 from dualdepth.stages import LRStage
 
 RAW_SIZE = (375, 1242)
@@ -51,15 +58,26 @@ def write_frames(folder: Path) -> Triplet:
     return Triplet("bench", (paths[1], paths[0], paths[2]), np.array([[721.5, 0, 609.6], [0, 721.5, 172.9], [0, 0, 1.0]]))
 
 
+def make_net(name: str) -> nn.Module:
+    """A depth network for high resolution with new weights: `dual` with the paper's ResNet50, or an encoder's name."""
+    return (Architecture("dual", "resnet50") if name == "dual" else Architecture("single", name)).build()
+
+
+def make_stage(name: str, profile: Profile) -> nn.Module:
+    """A stage with new weights: `lr` with the profile's encoder, or stage 2 of a network for high resolution."""
+    return LRStage(profile) if name == "lr" else HRStage(profile, make_net(name), PoseNet())
+
+
 class StepTimer:
     """Times the parts of a training step of a stage: networks, losses, backward, optimiser."""
 
-    def __init__(self, profile: Profile, device: torch.device) -> None:
+    def __init__(self, name: str, profile: Profile, device: torch.device) -> None:
         torch.manual_seed(0)
-        self.stage = LRStage(profile).to(device)
+        self.stage = make_stage(name, profile).to(device)
         if profile.training.channels_last:
             self.stage = self.stage.to(memory_format=torch.channels_last)
-        self.optimizer = torch.optim.Adam(self.stage.parameters(), 1e-4)
+        self.stage.train()
+        self.optimizer = torch.optim.Adam([p for p in self.stage.parameters() if p.requires_grad], 1e-4)
         self.device, self.bf16 = device, profile.training.precision == "bf16"
         self.networks = 0.0
         for net in (self.stage.depth_net, self.stage.pose_net):
@@ -90,11 +108,18 @@ class StepTimer:
         return parts | {"backward": backward - forward, "optimiser": done - backward, "step": done - began}
 
 
-def median_step(profile: Profile, batch: dict[str, Any], device: torch.device, repeats: int) -> dict[str, float]:
-    """Median seconds of a step's parts."""
-    timer = StepTimer(profile, device)
+def median_step(name: str, profile: Profile, batch: dict[str, Any], device: torch.device, repeats: int) -> dict[str, float]:
+    """Median seconds of a step's parts, and `peak_mb`: the GPU's peak in 10⁶ bytes, or the process's, which should then be a fresh one."""
+    timer = StepTimer(name, profile, device)
     rows = [timer.step(batch) for _ in range(repeats + 2)][2:]
-    return {part: statistics.median(row[part] for row in rows) for part in rows[0]}
+    peak = torch.cuda.max_memory_allocated() if device.type == "cuda" else resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    return {part: statistics.median(row[part] for row in rows) for part in rows[0]} | {"peak_mb": peak / 1e6}
+
+
+def alone(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Call a function in a process of its own, so that its peak of memory is its own."""
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(function, *arguments).result()
 
 
 def bench(encoder: str, repeats: int) -> pd.DataFrame:
@@ -104,7 +129,7 @@ def bench(encoder: str, repeats: int) -> pd.DataFrame:
     training = base.training.model_copy(update={"encoder": encoder, "pretrained": False})
     profile = base.model_copy(update={"training": training})
     rows: list[tuple[str, float, str]] = []
-    with tempfile.TemporaryDirectory() as folder, tqdm(total=4, desc="measuring", unit="part") as bar:
+    with tempfile.TemporaryDirectory() as folder, tqdm(total=9, desc="measuring", unit="part") as bar:
         dataset = TripletDataset([write_frames(Path(folder))], profile.data.hr_size, training.augmentation, 0)
         cv2.setNumThreads(1)
         load = median_seconds(lambda: dataset[0, 0], 10 * repeats)
@@ -116,20 +141,42 @@ def bench(encoder: str, repeats: int) -> pd.DataFrame:
         steps = {}
         for precision in ("bf16", "float32"):
             setting = training.model_copy(update={"precision": precision})
-            steps[precision] = median_step(profile.model_copy(update={"training": setting}), batch, device, repeats)
+            steps[precision] = median_step("lr", profile.model_copy(update={"training": setting}), batch, device, repeats)
             bar.update()
         chosen = steps["bf16"]
         rows.append((f"stage 1 step, {encoder} 128x416, batch 4, bf16", chosen["step"], "s"))
         rows += [(f"  of it {part}", chosen[part] / chosen["step"], "share") for part in ("networks", "losses", "backward", "optimiser")]
         rows.append(("  float32 step / bf16 step", steps["float32"]["step"] / chosen["step"], "ratio"))
         rows.append(("  loading a batch on one core / step", load * training.lr.batch_size / chosen["step"], "ratio"))
-        net = LRNet(encoder).eval().to(device)
-        image = torch.rand(1, 3, *profile.data.lr_size, device=device)
-        with torch.inference_mode():
-            rows.append((f"inference, {encoder} 128x416, float32", 1e3 * median_seconds(lambda: net(image, scales=1), repeats, 3), "ms"))
-        bar.update()
+        rows += high_resolution_steps(profile, batch, device, max(repeats // 2, 1), bar)
+    rows += inference(device, repeats)
     name = torch.cuda.get_device_name() if device.type == "cuda" else f"CPU, {torch.get_num_threads()} threads"
     return pd.DataFrame(rows, columns=["what", "value", "unit"]).assign(device=name)
+
+
+def high_resolution_steps(
+    profile: Profile, batch: dict[str, Any], device: torch.device, repeats: int, bar: tqdm
+) -> list[tuple[str, float, str]]:
+    """Stage 2's step against that of a ResNet18 network with the same decoder at the same resolution, both in bf16."""
+    rows, steps = [], {}
+    for name in ("dual", "resnet18"):
+        steps[name] = alone(median_step, name, profile, batch, device, repeats)
+        rows.append((f"stage 2 step, {name} 384x1248, batch 4, bf16", steps[name]["step"], "s"))
+        rows.append(("  peak memory", steps[name]["peak_mb"], "MB"))
+        bar.update(2)
+    rows += [(f"  dual / resnet18, {part}", steps["dual"][part] / steps["resnet18"][part], "ratio") for part in ("step", "peak_mb")]
+    return rows
+
+
+def inference(device: torch.device, repeats: int) -> list[tuple[str, float, str]]:
+    """One image by the dual network of the paper (LR-Net's decoder not run) and by ResNet18, both at 384x1248."""
+    rows, image = [], torch.rand(1, 3, 384, 1248, device=device)
+    nets = {name: make_net(name).to(device, memory_format=torch.channels_last) for name in ("dual", "resnet18")}
+    for precision in ("float32", "bf16"):
+        measured = {name: latency(net, image, repeats=repeats, precision=precision) for name, net in nets.items()}
+        rows += [(f"inference, {name} 384x1248, {precision}", m.median_ms, "ms") for name, m in measured.items()]
+        rows.append(("  dual / resnet18", measured["dual"].median_ms / measured["resnet18"].median_ms, "ratio"))
+    return rows
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from dualdepth.config import PROFILES, load_profile
+from dualdepth.config import PROFILES, load_profile, standard_variants
 from dualdepth.errors import InputError
 from dualdepth.paper import RECIPE
 from dualdepth.sections import Stage
@@ -41,12 +41,13 @@ def test_the_four_profiles_are_shipped():
 
 def test_the_paper_profile_is_the_papers_recipe():
     profile = load_profile("paper")
-    training, stage = profile.training, profile.training.lr
-    assert stage.epochs == RECIPE["epochs"][0] == 40
-    assert stage.batch_size == RECIPE["batch_size"] == 4
-    assert (stage.beta1, stage.beta2) == (RECIPE["beta1"], RECIPE["beta2"]) == (0.9, 0.999)
-    assert tuple(stage.learning_rates) == RECIPE["learning_rates"] == ((10, 2e-4), (20, 1e-4), (40, 5e-5))
-    assert stage.max_steps is None
+    training = profile.training
+    for stage, epochs in zip((training.lr, training.hr), RECIPE["epochs"]):
+        assert stage.epochs == epochs == 40
+        assert stage.batch_size == RECIPE["batch_size"] == 4
+        assert (stage.beta1, stage.beta2) == (RECIPE["beta1"], RECIPE["beta2"]) == (0.9, 0.999)
+        assert tuple(stage.learning_rates) == RECIPE["learning_rates"] == ((10, 2e-4), (20, 1e-4), (40, 5e-5))
+        assert stage.max_steps is None
     assert profile.data.hr_size == RECIPE["hr_size"] == (384, 1248)
     assert profile.data.lr_size == RECIPE["lr_size"] == (128, 416)
     assert training.loss.alpha == RECIPE["alpha"] == 0.85
@@ -160,3 +161,77 @@ def test_the_digest_changes_with_its_own_sections_only(written):
     plain, other = load_profile(written(GOOD)), load_profile(written(GOOD + "training:\n  lr:\n    epochs: 3\n", "other"))
     assert plain.digest("training.loss", "data.hr_size") == other.digest("training.loss", "data.hr_size")
     assert plain.digest("training.lr") != other.digest("training.lr")
+
+
+def test_the_papers_networks_are_those_of_the_standard_variants():
+    profile = load_profile("paper")
+    dual = profile.variant("dual")
+    assert (dual.network, dual.link, dual.similarity, dual.normalise, dual.starts_from) == ("dual", "attention", "dot", "none", "lr")
+    assert profile.variant("dual_no_sa").link == "direct"
+    assert {"lr", "dual", "dual_no_sa"} <= set(profile.train)
+
+
+def test_tiny_trains_every_standard_variant():
+    assert set(load_profile("tiny").train) == set(standard_variants())
+
+
+@pytest.mark.parametrize("name", standard_variants())
+def test_every_standard_variant_fits_into_the_papers_profile(name):
+    profile = load_profile("paper")
+    assert profile.of_variant(name).training
+    start = profile.variant(name).starts_from
+    assert start is None or profile.variant(start).network == "lr"
+
+
+def test_a_variant_changes_its_own_settings_only():
+    profile = load_profile("paper")
+    assert profile.of_variant("lr").training == profile.training
+    assert profile.of_variant("lr_no_feature_loss").training.loss.feature == 0
+    assert not profile.of_variant("lr_downsample_first").training.augmentation.augment_first
+    assert profile.of_variant("dual_scratch").training.pretrained is False
+    assert profile.of_variant("mobilenet_v2").training.encoder == "mobilenet_v2"
+    changed = profile.of_variant("resnet18").training.model_dump() | {"encoder": "resnet50"}
+    assert changed == profile.training.model_dump()
+
+
+def test_a_profile_sets_a_variants_settings_and_has_variants_of_its_own(written):
+    own = """train:
+  lr: {training.lr.max_steps: 7}
+  mine:
+variants:
+  mine: {label: Mine, about: x, network: single, set: {training.encoder: mobilenet_v2}}
+"""
+    profile = load_profile(written(GOOD + own))
+    assert profile.of_variant("lr").training.lr.max_steps == 7
+    assert profile.training.lr.max_steps is None
+    assert profile.of_variant("mine").training.encoder == "mobilenet_v2"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("train: {duall: }\n", "variant 'duall' is unknown; did you mean dual"),
+        ("train: {dual: }\n", "dual starts from lr, which is not trained; name it too"),
+        ("train: {lr: {training.lr.epoch: 3}}\n", r"variant lr: unknown setting training.lr.epoch; did you mean epochs\?"),
+        ("train: {lr: {training.lrr.epochs: 3}}\n", "variant lr: unknown setting training.lrr"),
+        ("train: {lr: {training.lr.epochs: none}}\n", "variant lr: training.lr.epochs"),
+        ("train: {}\n", "train"),
+        ("variants: {mine: {label: a, about: x, network: dual}}\n", "network dual needs a variant in `starts_from`"),
+        ("variants: {mine: {label: a, about: x, network: single, starts_from: lr}}\n", "network single has no variant in `starts_from`"),
+        (
+            "variants: {mine: {label: a, about: x, network: lr, simlarity: dot}}\n",
+            "unknown setting variants.mine.simlarity; did you mean similarity",
+        ),
+        (
+            "train: {lr: , dual: , mine: }\nvariants: {mine: {label: a, about: x, network: dual, starts_from: dual}}\n",
+            "mine starts from dual, which is no variant of stage 1",
+        ),
+        (
+            "train: {mine: {training.augmentation.augment_first: false}}\nvariants: {mine: {label: a, about: x, network: single}}\n",
+            "augment_first must be true at high resolution",
+        ),
+    ],
+)
+def test_a_bad_variant_is_one_error_that_names_file_and_mend(written, text, said):
+    with pytest.raises(InputError, match=rf"own\.yaml: .*{said}"):
+        load_profile(written(GOOD + text))

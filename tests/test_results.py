@@ -120,7 +120,7 @@ def test_a_recipe_changes_with_triplets_and_settings_that_shape_the_weights(proj
         run.prepared.mkdir(parents=True, exist_ok=True)
         (run.prepared / "triplets.csv").write_text(triplets)
         (run.prepared / "identity.json").write_text(identity)
-        return run.recipe("lr")
+        return run.recipe("lr", 0)
 
     def own(name, training):
         path = project / f"{name}.yaml"
@@ -133,6 +133,32 @@ def test_a_recipe_changes_with_triplets_and_settings_that_shape_the_weights(proj
     assert recipe(own("a", "  workers: 1\n"), "x", '{"frames": 1}') != plain
     for line in ("  lr: {batch_size: 2}\n", "  precision: float32\n", "  encoder: resnet18\n", "  loss: {feature: 0}\n"):
         assert recipe(own("c", line), "x") != plain
+
+
+def test_stage_2_is_stale_when_stage_1_or_its_own_settings_change(project):
+    def recipe(text="", weights="a", variant="dual", seed=0):
+        path = project / "own.yaml"
+        path.write_text(f"about: x\ndata:\n  source: kitti\n  train_list: eigen_zhou\n{text}")
+        run = Run(str(path))
+        for file, content in (
+            (run.prepared / "triplets.csv", "x"),
+            (run.prepared / "identity.json", "{}"),
+            (run.weights("lr", 0), weights),
+        ):
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(content)
+        return run.recipe(variant, seed)
+
+    plain = recipe()
+    assert recipe(weights="b") != plain
+    assert recipe(variant="dual_no_sa") != plain
+    assert recipe(variant="dual_cosine") != plain
+    assert recipe("training: {hr: {epochs: 3}}\n") != plain
+    assert recipe("training: {lr: {epochs: 3}}\n") == plain  # what it did to LR-Net stands in LR-Net's weights
+    assert recipe("train: {lr: , dual: {training.hr.max_steps: 9}}\n") != plain
+    assert recipe("train: {lr: , dual: , hr_only: }\n") == plain
+    lr = recipe(variant="lr")
+    assert recipe("training: {hr: {epochs: 3}}\n", variant="lr") == lr
 
 
 def test_a_notebooks_digest_is_blind_to_its_outputs(project):

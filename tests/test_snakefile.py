@@ -7,25 +7,34 @@ import sys
 
 import pytest
 
-from dualdepth.config import PROFILES
 from dualdepth.results import project_root
 
 STAND_IN = """#!{python}
 import pathlib, re, sys
+words = " ".join(sys.argv)
 out = pathlib.Path(sys.argv[sys.argv.index("--out") + 1])
 name, profile = sys.argv[2], out.parts[1]
-seed = re.search(r"seed=(\\d+)", " ".join(sys.argv))
+seed, variant = (re.search(key + r"=(\\S+)", words) for key in ("seed", "variant"))
+table = {{"05_table_main": "main", "07_table_ablation": "ablation", "08_table_distance": "distance",
+         "09_table_sharpness": "sharpness", "11_table_backbone": "backbone"}}.get(name)
 made = {{
     "01_download_data": ["work/{{p}}/sources.json"],
     "02_prepare_data": ["work/{{p}}/prepared/" + n for n in ("triplets.csv", "identity.json", "test_frames.json", "ground_truth.npz")],
-    "03_train_lr": ["work/{{p}}/runs/lr/seed{{s}}/trained.json"],
-    "05_table_main": ["results/{{p}}/tables/main.csv", "results/{{p}}/tables/main.json"],
-}}.get(name, [])
-for path in [out, *(pathlib.Path(m.format(p=profile, s=seed and seed[1])) for m in made)]:
+    "03_train_lr": ["work/{{p}}/runs/{{v}}/seed{{s}}/trained.json"],
+    "04_train_hr": ["work/{{p}}/runs/{{v}}/seed{{s}}/trained.json"],
+}}.get(name, ["results/{{p}}/tables/" + table + end for end in (".csv", ".json")] if table else [])
+for path in [out, *(pathlib.Path(m.format(p=profile, s=seed and seed[1], v=variant and variant[1])) for m in made)]:
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(" ".join(sys.argv))
+    path.write_text(words)
 with open("ran.txt", "a") as log:
-    log.write(name + (" seed " + seed[1] if seed else "") + "\\n")
+    log.write(" ".join([name, *([variant[1], "seed", seed[1]] if seed else [])]) + "\\n")
+"""
+TABLES = ["05_table_main", "07_table_ablation", "08_table_distance", "09_table_sharpness", "11_table_backbone", "13_figures"]
+PROFILE = """about: a test
+world: {}
+data: {source: miniature}
+training: {encoder: resnet18}
+train: {lr: , dual: , resnet18: }
 """
 
 
@@ -40,7 +49,7 @@ def chain(tmp_path):
     command.write_text(STAND_IN.format(python=sys.executable))
     command.chmod(0o755)
     profile = tmp_path / "own.yaml"
-    shutil.copyfile(PROFILES / "tiny.yaml", profile)
+    profile.write_text(PROFILE)
 
     def run(*config, change=None):
         if change:
@@ -58,39 +67,50 @@ def chain(tmp_path):
     return run
 
 
+def trainings(*seeds):
+    return [f"{n} {v} seed {s}" for n, v in (("03_train_lr", "lr"), ("04_train_hr", "dual"), ("04_train_hr", "resnet18")) for s in seeds]
+
+
 def test_it_runs_everything_once_then_only_what_a_change_makes_stale(chain):
-    everything = ["00_quickstart", "01_download_data", "02_prepare_data", "03_train_lr seed 0", "05_table_main"]
-    assert chain() == everything
+    pages = ["00_quickstart", "01_download_data", "02_prepare_data"]
+    assert chain() == sorted([*pages, *trainings(0), *TABLES])
     assert chain() == []
-    # another protocol: the table alone
-    assert chain(change=("world:", "evaluation: {crop: none}\nworld:")) == ["05_table_main"]
-    # another loss: the training and what follows
-    assert chain(change=("  log_every: 5", "  loss: {smoothness: 0.2}\n  log_every: 5")) == ["03_train_lr seed 0", "05_table_main"]
-    # one more seed: its training, and the table over both
-    assert chain("seeds=0,1") == ["03_train_lr seed 1", "05_table_main"]
+    # another protocol: the tables alone
+    assert chain(change=("world:", "evaluation: {crop: none}\nworld:")) == TABLES
+    # stage 2's settings: stage 2 and the tables
+    assert chain(change=("resnet18}", "resnet18, hr: {epochs: 7}}")) == sorted([*trainings(0)[1:], *TABLES])
+    # stage 1's: it, what starts from it, and the tables
+    assert chain(change=("hr: {epochs: 7}", "hr: {epochs: 7}, lr: {epochs: 7}")) == sorted([*trainings(0)[:2], *TABLES])
+    # another loss: all trainings
+    assert chain(change=("lr: {epochs: 7}", "lr: {epochs: 7}, loss: {smoothness: 0.2}")) == sorted([*trainings(0), *TABLES])
+    # one more seed: its trainings, and the tables over both
+    assert chain("seeds=0,1") == sorted([*trainings(1), *TABLES])
+    # one variant less: what shows it
+    assert "04_train_hr" not in " ".join(chain("seeds=0,1", change=(", resnet18: }", "}")))
     # another world: all but the page that needs no data
-    assert chain("seeds=0,1", change=("train_seed: 1", "train_seed: 3")) == [
-        "01_download_data",
-        "02_prepare_data",
-        "03_train_lr seed 0",
-        "03_train_lr seed 1",
-        "05_table_main",
-    ]
+    ran = chain("seeds=0,1", change=("world: {}", "world: {train_seed: 3}"))
+    assert ran == sorted([*pages[1:], *(t for t in trainings(0, 1) if "resnet18" not in t), *TABLES])
 
 
 def test_how_often_the_log_is_written_makes_nothing_stale(chain):
     chain()
-    assert chain(change=("  log_every: 5", "  log_every: 6")) == []
+    assert chain(change=("resnet18}", "resnet18, log_every: 6}")) == []
 
 
 def test_seed_zero_alone_can_be_asked_for_in_a_profile_of_several(chain):
     ran = chain("seeds=0", change=("about:", "seeds: [0, 1, 2]\nabout:"))
-    assert [name for name in ran if name.startswith("03")] == ["03_train_lr seed 0"]
+    assert [name for name in ran if name.startswith(("03", "04"))] == trainings(0)
 
 
 def test_other_frames_to_score_leave_the_weights_where_they_are(chain, tmp_path):
     chain()
     weights = tmp_path / "work/own/runs/lr/seed0/model.safetensors"
     weights.write_text("learned")
-    chain(change=("hr_size:", "baseline_frames: 3\n  hr_size:"))
+    chain(change=("source: miniature", "source: miniature, baseline_frames: 3"))
     assert weights.read_text() == "learned"
+
+
+def test_a_profile_that_trains_stage_1_alone_has_its_tables(chain):
+    ran = chain(change=("train: {lr: , dual: , resnet18: }", "train: {lr: }"))
+    assert [name for name in ran if name.startswith(("03", "04"))] == trainings(0)[:1]
+    assert set(TABLES) <= set(ran)

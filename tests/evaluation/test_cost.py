@@ -66,3 +66,41 @@ def test_latency_reports_time_and_the_memory_of_weights_input_and_activations(de
     assert measured.peak_mb == pytest.approx((held + 2 * 4 * 200_000) / 1e6, rel=0.02)
     assert 0 < measured.median_ms < 1000
     assert net.training and (measured.device == "cpu") == (device == "cpu")
+
+
+class Watched(nn.Module):
+    """A convolution and a matrix product that record what they computed in."""
+
+    def __init__(self):
+        super().__init__()
+        self.conv = nn.Conv2d(3, 4, 3)
+        self.dtypes = []
+
+    def forward(self, image):
+        features = self.conv(image)
+        self.dtypes.append((image.dtype, self.conv.weight.dtype, features.dtype, (features @ features.mT).dtype))
+        return features
+
+
+@pytest.mark.parametrize(("precision", "computed"), [("float32", torch.float32), ("bf16", torch.bfloat16)])
+def test_latency_runs_in_the_precision_that_was_asked_for(precision, computed):
+    net = Watched()
+    measured = latency(net, torch.zeros(1, 3, 8, 8), repeats=2, warmup=1, precision=precision)
+    assert set(net.dtypes) == {(torch.float32, torch.float32, computed, computed)}
+    assert len(net.dtypes) == 4  # the warm-up, two timed runs, and the one whose memory is watched
+    assert measured.median_ms > 0
+
+
+def test_latency_in_bf16_leaves_no_autocast_behind_and_the_weights_as_they_were():
+    net = Watched()
+    latency(net, torch.zeros(1, 3, 8, 8), repeats=1, warmup=0, precision="bf16")
+    assert net.conv(torch.zeros(1, 3, 8, 8)).dtype == torch.float32
+    assert net.conv.weight.dtype == torch.float32 and net.conv.weight.requires_grad
+
+
+def test_activations_in_bf16_take_half_the_memory():
+    net = nn.Sequential(nn.Conv2d(1, 64, 1), nn.Conv2d(64, 64, 1, groups=64)).requires_grad_(False)
+    image = torch.zeros(1, 1, 300, 300)
+    full, half = (latency(net, image, repeats=1, warmup=1, precision=p).peak_mb for p in ("float32", "bf16"))
+    held = 4 * 300 * 300 / 1e6
+    assert (half - held) / (full - held) == pytest.approx(0.5, abs=0.03)

@@ -1,4 +1,4 @@
-"""Bootstrap and spread against closed forms."""
+"""Bootstrap, spread and comparisons of trainings against closed forms."""
 
 import math
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dualdepth.errors import InputError
-from dualdepth.evaluation.statistics import mean_std, paired_bootstrap
+from dualdepth.evaluation.statistics import Comparison, compare, mean_std, paired_bootstrap
 
 
 def test_interval_equals_the_normal_one_for_many_images():
@@ -51,3 +51,65 @@ def test_mean_and_sample_deviation_over_seeds():
     assert mean == 0.12 and math.isnan(deviation)
     with pytest.raises(InputError):
         mean_std([])
+
+
+def test_trainings_are_compared_by_means_over_images_and_the_spread_over_seeds():
+    b = np.array([[0.1, 0.2, 0.3, 0.4]] * 3)
+    a = b + np.array([[0.01], [0.02], [0.06]]) + [0.004, -0.004, 0.002, -0.002]
+    result = compare(a, b)
+    assert result.seeds == 3
+    assert result.mean_a == pytest.approx(0.28) and result.mean_b == pytest.approx(0.25)
+    assert result.difference == pytest.approx(0.03)
+    # the seeds' differences 0.01, 0.02, 0.06 are off their mean by -0.02, -0.01, 0.03
+    assert result.spread == pytest.approx(math.sqrt((0.02**2 + 0.01**2 + 0.03**2) / 2))
+
+
+def test_the_spread_is_of_the_paired_difference_so_that_what_a_seed_shares_cancels():
+    shared = np.array([[0.0], [0.5], [-0.3]])
+    images = np.array([0.1, 0.2, 0.3])
+    result = compare(shared + images + 0.01, shared + images)
+    assert result.spread == pytest.approx(0, abs=1e-12) and result.difference == pytest.approx(0.01)
+
+
+def test_the_interval_is_over_images_of_the_seeds_mean_difference():
+    rng = np.random.default_rng(0)
+    noise = np.array([[1.0], [-1.0]]) * rng.normal(0, 5, 400)  # cancels over the two seeds
+    difference = rng.normal(0.1, 1, 400)
+    result = compare(difference + noise, np.zeros((2, 400)))
+    half = 1.96 * difference.std() / 20
+    assert result.low == pytest.approx(difference.mean() - half, abs=0.1 * half)
+    assert result.high == pytest.approx(difference.mean() + half, abs=0.1 * half)
+    assert compare(difference + noise, np.zeros((2, 400)), seed=3)[3:5] != result[3:5]
+
+
+def test_one_seed_has_no_spread_and_no_verdict_over_seeds():
+    result = compare([[0.2, 0.3, 0.4]], [[0.1, 0.1, 0.1]])
+    assert math.isnan(result.spread) and result.seeds == 1
+    assert result.clear_of_seeds is None and result.clear_of_images
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "clear"), [(0.01, 0.05, True), (-0.05, -0.01, True), (-0.01, 0.05, False), (0, 0.05, False), (-0.05, 0, False)]
+)
+def test_clear_of_images_means_that_zero_is_outside_the_interval(low, high, clear):
+    assert Comparison(0.1, 0.1, 0.0, low, high, 0.0, 2).clear_of_images is clear
+
+
+@pytest.mark.parametrize(
+    ("difference", "spread", "clear"), [(0.03, 0.02, True), (-0.03, 0.02, True), (0.02, 0.03, False), (-0.02, 0.03, False)]
+)
+def test_clear_of_seeds_means_larger_than_the_spread(difference, spread, clear):
+    assert bool(Comparison(0.1, 0.1, difference, 0.0, 0.0, spread, 3).clear_of_seeds) is clear
+
+
+@pytest.mark.parametrize(
+    ("a", "b"), [([[1, 2]], [[1, 2], [1, 2]]), ([[1, 2, 3]], [[1, 2]]), ([1, 2], [1, 2]), ([[[1, 2]]], [[[1, 2]]]), ([], [])]
+)
+def test_trainings_of_other_shapes_cannot_be_compared(a, b):
+    with pytest.raises(InputError, match="comparison: shapes"):
+        compare(a, b)
+
+
+def test_values_that_are_not_finite_cannot_be_compared():
+    with pytest.raises(InputError, match="finite"):
+        compare([[1, math.nan], [1, 2]], [[1, 2], [1, 2]])

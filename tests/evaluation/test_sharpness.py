@@ -1,0 +1,173 @@
+"""Tenengrad and boundary scores against slow references and closed forms."""
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+
+from dualdepth.evaluation.sharpness import boundary_scores, tenengrad
+
+SCORES = ("f1", "lateral_precision", "lateral_recall", "lateral_f1")
+
+
+def slow_tenengrad(values, threshold):
+    """The sum with loops; beyond the border the pixels are mirrored about the outermost one."""
+    height, width = values.shape
+
+    def at(row, column):
+        row, column = abs(row), abs(column)
+        return float(values[row if row < height else 2 * height - 2 - row, column if column < width else 2 * width - 2 - column])
+
+    total = 0.0
+    for r in range(height):
+        for c in range(width):
+            across = sum(w * (at(r + k, c + 1) - at(r + k, c - 1)) for k, w in ((-1, 1), (0, 2), (1, 1)))
+            down = sum(w * (at(r + 1, c + k) - at(r - 1, c + k)) for k, w in ((-1, 1), (0, 2), (1, 1)))
+            strength = math.sqrt(across**2 + down**2)
+            total += strength if strength > threshold else 0
+    return total
+
+
+def step(height=12, width=20, low=3.0, high=8.0):
+    """Left half low, right half high."""
+    return np.where(np.arange(width) < width // 2, low, high) * np.ones((height, 1))
+
+
+def disc(height=120, width=180, radius=40.0):
+    """A smooth-edged disc before a background."""
+    y, x = np.mgrid[:height, :width]
+    distance = np.hypot(y - height / 2, x - width / 2)
+    return 10 + 30 / (1 + np.exp(-(distance - radius) / 3))
+
+
+def test_tenengrad_equals_the_slow_sum_at_every_threshold():
+    values = np.random.default_rng(0).uniform(0, 10, (9, 13))
+    thresholds = [0, 5, 12, 20, 1000]
+    result = tenengrad(values, thresholds)
+    np.testing.assert_allclose(result, [slow_tenengrad(values, t) for t in thresholds], rtol=1e-5)
+    assert result[0] > result[1] > result[2] > result[3] > result[4] == 0
+
+
+def test_a_step_of_five_has_strength_twenty_in_both_columns_beside_it():
+    height = 12
+    both_columns = 2 * height * 4 * 5.0
+    np.testing.assert_allclose(tenengrad(step(height), [0, 19.99, 20]), [both_columns, both_columns, 0])  # strictly above t
+
+
+def test_a_plane_counts_eight_times_its_slope_inside():
+    values = np.tile(np.arange(30) * 0.5, (10, 1))
+    assert tenengrad(values, [0])[0] == pytest.approx(10 * 28 * 8 * 0.5)  # the mirror makes the first and last column flat
+
+
+def test_blur_hardly_changes_the_sum_without_a_threshold_but_kills_it_with_one():
+    sharp, blurred = step(width=60), cv2.blur(step(width=60), (15, 1))
+    before, after = tenengrad(sharp, [0, 10]), tenengrad(blurred, [0, 10])
+    assert after[0] == pytest.approx(before[0], rel=1e-3)
+    assert before[1] == pytest.approx(before[0]) and after[1] == 0
+
+
+def test_three_times_the_size_gives_three_times_the_sum():
+    small = disc()
+    large = cv2.resize(small, None, fx=3, fy=3, interpolation=cv2.INTER_LINEAR)
+    assert tenengrad(large, [0])[0] / tenengrad(small, [0])[0] == pytest.approx(3, rel=0.02)
+
+
+def box(height=40, width=60, near=10.0, far=40.0):
+    """A near box before a wall: boundaries in all four directions."""
+    depth = np.full((height, width), far)
+    depth[12:28, 20:40] = near
+    return depth
+
+
+def slow_scores(depth, truth):
+    """Depth Pro's formula pixel by pixel: a boundary in a direction is a neighbour there that is more than t times as far."""
+    height, width = truth.shape
+    ratios = [1.05 + 0.2 * k / 9 for k in range(10)]
+    totals = dict.fromkeys(SCORES, 0.0)
+
+    def f1(p, r):
+        return 2 * p * r / (p + r) if p + r else 0.0
+
+    for t in ratios:
+        precision, recall = {}, {}
+        for direction in ((0, 1), (0, -1), (1, 0), (-1, 0)):
+            found = known = both = 0
+            for r in range(height):
+                for c in range(width):
+                    other = r + direction[0], c + direction[1]
+                    if 0 <= other[0] < height and 0 <= other[1] < width:
+                        a, b = depth[other] / depth[r, c] > t, truth[other] / truth[r, c] > t
+                        found, known, both = found + a, known + b, both + (a and b)
+            precision[direction], recall[direction] = both / max(found, 1), both / max(known, 1)
+        weight = t / sum(ratios)
+        p, r = sum(precision.values()) / 4, sum(recall.values()) / 4
+        side_p, side_r = ((values[0, 1] + values[0, -1]) / 2 for values in (precision, recall))
+        for name, value in zip(SCORES, (f1(p, r), side_p, side_r, f1(side_p, side_r))):
+            totals[name] += weight * value
+    return totals
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_boundary_scores_equal_the_slow_formula(seed):
+    rng = np.random.default_rng(seed)
+    truth = 10 * np.exp(rng.normal(0, 0.12, (11, 14)))
+    truth[3:8, 4:9] *= 0.6
+    depth = truth * np.exp(rng.normal(0, 0.06, truth.shape))
+    scores = boundary_scores(depth, truth)
+    assert scores == pytest.approx(slow_scores(depth, truth), rel=1e-9)
+    assert all(0.1 < value < 0.95 for value in scores.values())
+
+
+def test_a_perfect_prediction_of_any_scale_scores_one():
+    for factor in (1, 0.037, 12.5):
+        assert boundary_scores(box() * factor, box()) == pytest.approx(dict.fromkeys(SCORES, 1.0))
+
+
+def test_scale_does_not_matter_for_a_flawed_prediction_either():
+    rng = np.random.default_rng(0)
+    depth = box() * np.exp(rng.normal(0, 0.05, box().shape))
+    assert boundary_scores(depth * 0.25, box()) == pytest.approx(boundary_scores(depth, box()))
+
+
+def test_blur_lowers_recall_and_the_sharp_map_keeps_it():
+    blurred = cv2.blur(box(), (31, 31))
+    assert boundary_scores(box(), box())["lateral_recall"] == pytest.approx(1)
+    scores = boundary_scores(blurred, box())
+    assert scores["lateral_recall"] < 0.2 and scores["f1"] < 0.2 and scores["lateral_f1"] < 0.2
+
+
+def test_noise_lowers_precision_and_leaves_recall():
+    noisy = box() * np.exp(np.random.default_rng(0).normal(0, 0.1, box().shape))
+    scores = boundary_scores(noisy, box())
+    assert scores["lateral_recall"] > 0.95
+    assert scores["lateral_precision"] < 0.2 and scores["f1"] < 0.4
+
+
+def test_an_edge_one_pixel_off_is_not_found():
+    truth = step(low=10.0, high=40.0)
+    shifted = np.hstack([truth[:, :1], truth[:, :-1]])
+    assert boundary_scores(shifted, truth) == dict.fromkeys(SCORES, 0.0)
+
+
+def test_an_edge_with_near_and_far_exchanged_is_not_found():
+    assert boundary_scores(1 / step(), step()) == dict.fromkeys(SCORES, 0.0)
+
+
+def test_rows_count_in_f1_alone():
+    truth = box()
+    stripes = truth * np.where(np.arange(40) % 2, 1.0, 2.0)[:, None]  # invented edges between rows, none between columns
+    scores = boundary_scores(stripes, truth)
+    assert scores["lateral_f1"] == pytest.approx(1)
+    assert scores["f1"] < 0.9
+
+
+def test_larger_ratios_weigh_more():
+    truth, ratios = box(near=10, far=11.5), np.linspace(1.05, 1.25, 10)
+    found = ratios[ratios < 1.15].sum() / ratios.sum()  # the truth itself has no boundary at the others
+    assert boundary_scores(truth, truth) == pytest.approx(dict.fromkeys(SCORES, found))
+
+
+def test_a_flat_map_finds_nothing_and_a_flat_truth_has_nothing():
+    assert boundary_scores(np.full((40, 60), 7.0), box()) == dict.fromkeys(SCORES, 0.0)
+    assert boundary_scores(box(), np.full((40, 60), 7.0)) == dict.fromkeys(SCORES, 0.0)

@@ -1,0 +1,64 @@
+"""Runs without weights or images, whose scores are given."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from dualdepth.atomic import write_json
+from dualdepth.evaluation.depth import METRICS
+from dualdepth.results import Run
+from dualdepth.tables import rows
+
+
+@pytest.fixture
+def make_run(tmp_path):
+    """A run of a profile, or of one written here, whose list of scored frames is there."""
+
+    def make(profile="tiny", *, text=None, frames=2, listed=None):
+        if text is not None:
+            path = tmp_path / f"{profile}.yaml"
+            path.write_text(text)
+            profile = str(path)
+        run = Run(profile, tmp_path)
+        scored = [["2011_09_26/2011_09_26_drive_0001_sync", i, "image_02"] for i in range(frames)]
+        run.prepared.mkdir(parents=True)
+        write_json(run.prepared / "test_frames.json", {"frames": scored, "listed": listed or frames})
+        return run
+
+    return make
+
+
+@pytest.fixture
+def make_scores():
+    """Per-image scores about a value; the noise is the same whatever the value, so that paired differences are exact."""
+
+    def make(value, images=6):
+        noise = np.random.default_rng(0).normal(0, 0.01, images)
+        frame = pd.DataFrame({m: value + noise - noise.mean() for m in METRICS})
+        return frame.assign(scale_ratio=1.0, valid_pixels=10).rename_axis("image")
+
+    return make
+
+
+@pytest.fixture
+def give(monkeypatch):
+    """Makes `score_training` the given function wherever it is the default."""
+
+    def give(scores):
+        for function in (rows.training_row, rows.compare_trainings):
+            monkeypatch.setitem(function.__kwdefaults__, "scores", scores)
+
+    return give
+
+
+@pytest.fixture
+def check_paper_rows():
+    """Checks that the paper's rows stand first, all there, with no number changed and no count of images."""
+
+    def check(table, expected):
+        published = table[table["source"] == "paper"]
+        assert list(published.index) == list(range(len(expected)))
+        pd.testing.assert_frame_equal(published[expected.columns], expected, check_dtype=False)
+        assert "n" not in table or published["n"].isna().all()
+
+    return check

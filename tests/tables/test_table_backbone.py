@@ -1,0 +1,135 @@
+"""The overhead table: costs counted a second way, the paper's rows, and what ImageNet weights bring or why that is not known."""
+
+import contextlib
+
+import pytest
+import torch
+from torch import nn
+
+from dualdepth import paper
+from dualdepth.evaluation.cost import Latency
+from dualdepth.networks.architecture import Architecture
+from dualdepth.tables import backbone
+from dualdepth.tables.backbone import NETWORKS, backbone_table, cost_row
+
+WITHOUT = "Dual-network (ResNet50), without LR-Net's decoder"
+TEXT = "about: x\ndata:\n  source: kitti\n  train_list: eigen_zhou\ntraining: {{pretrained: {}}}\n"
+VALUES = {"mobilenet_v2": 0.5, "resnet18": 0.4, "dual": 0.2, "lr": 0.3, "dual_scratch": 0.25}
+
+
+@pytest.fixture
+def latencies(monkeypatch):
+    """Networks have shapes only, and their time is not measured: what would be is recorded."""
+    asked = []
+
+    def latency(model, image, *, repeats, warmup, precision):
+        asked.append((image.shape[2:], repeats, precision))
+        return Latency(7.0 if precision == "float32" else 3.0, 100.0 if precision == "float32" else 60.0, "a device")
+
+    monkeypatch.setattr(backbone, "latency", latency)
+    monkeypatch.setattr(backbone, "device", lambda: "meta")
+    monkeypatch.setattr(torch, "autocast", lambda *_, **__: contextlib.nullcontext())  # it knows no tensors without values
+    with torch.device("meta"):
+        yield asked
+
+
+@pytest.fixture
+def scored(make_scores, give):
+    give(lambda run, variant, seed: make_scores(VALUES[variant] + 0.02 * seed))
+
+
+@pytest.fixture
+def cheap(monkeypatch):
+    monkeypatch.setattr(backbone, "cost_row", lambda name, repeats: {"params_m": float(repeats), "gmacs": 2.0})
+
+
+def counted_by_hand(modules, run):
+    """Parameters of modules, and the multiply-accumulates of the convolutions that `run()` goes through."""
+    macs = 0
+
+    def add(conv, inputs, output):
+        nonlocal macs
+        macs += output.numel() * conv.in_channels // conv.groups * conv.kernel_size[0] * conv.kernel_size[1]
+
+    handles = [m.register_forward_hook(add) for module in modules for m in module.modules() if isinstance(m, nn.Conv2d)]
+    run()
+    for handle in handles:
+        handle.remove()
+    return sum(p.numel() for module in modules for p in module.parameters()), macs
+
+
+def by_hand(name):
+    with torch.device("meta"), torch.no_grad():
+        low, high = torch.zeros(1, 3, 128, 416), torch.zeros(1, 3, 384, 1248)
+        if name in ("MobileNet V2", "ResNet18", "LR-Net (ResNet50)"):
+            encoder = {"MobileNet V2": "mobilenet_v2", "ResNet18": "resnet18"}.get(name, "resnet50")
+            net = Architecture("single", encoder).build().eval()
+            return counted_by_hand([net], lambda: net(low if "LR-Net" in name else high))
+        net = Architecture("dual", "resnet50").build().eval()
+        maps = net.lr_net.encoder(low)
+        parts = [net.lr_net.encoder, net.attention, net.hr_net]
+        params, macs = counted_by_hand(parts, lambda: net(high))
+        macs += 2 * 128 * (4 * 13) ** 2  # SA-Attention's two products
+        if name != WITHOUT:
+            decoder = counted_by_hand([net.lr_net.decoder], lambda: net.lr_net.decoder(maps))
+            params, macs = params + decoder[0], macs + decoder[1]
+        return params, macs
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_costs_are_those_counted_by_hand(name, latencies):
+    row = cost_row(name, 4)
+    params, macs = by_hand(name)
+    assert row["params_m"] == pytest.approx(params / 1e6, rel=1e-12)
+    assert row["gmacs"] == pytest.approx(macs / 1e9, rel=1e-12)
+    size = (128, 416) if name.startswith("LR-Net") else (384, 1248)
+    assert latencies == [(size, 4, "float32"), (size, 4, "bf16")]
+    assert (row["latency_ms"], row["latency_ms_bf16"], row["peak_mb"], row["peak_mb_bf16"]) == (7, 3, 100, 60)
+    assert row["device"] == "a device"
+
+
+@pytest.mark.parametrize("name", ["MobileNet V2", "ResNet18", "Dual-network (ResNet50)"])
+def test_costs_are_near_the_papers(name, latencies):
+    published, row = paper.table("backbone").set_index("backbone").loc[name], cost_row(name, 1)
+    assert row["params_m"] == pytest.approx(published["params_m"], rel=0.015)
+    assert row["gmacs"] == pytest.approx(published["gmacs"], rel=0.015)
+
+
+def test_the_papers_rows_are_all_there_and_unchanged(scored, cheap, make_run, check_paper_rows):
+    check_paper_rows(backbone_table(make_run(), [0]), paper.table("backbone"))
+
+
+def test_each_network_has_its_cost_and_the_metrics_of_its_training(scored, cheap, make_run):
+    measured = backbone_table(make_run(), [0, 1], repeats=9).query("source == 'measured'").set_index("backbone")
+    variants = {name: variant for name, (_, variant) in NETWORKS.items()}
+    assert list(measured.index[:5]) == list(variants)
+    for name, variant in variants.items():
+        row = measured.loc[name]
+        assert row["variant"] == variant and row["params_m"] == 9 and row["gmacs"] == 2
+        assert row["abs_rel"] == pytest.approx(VALUES[variant] + 0.01)
+        assert row["abs_rel_std"] == pytest.approx(0.02 / 2**0.5)
+        assert row["note"].startswith("cost with a new network at the paper's size; metrics: resnet18, ") or variant == "mobilenet_v2"
+
+
+def test_a_network_that_is_not_trained_still_has_its_cost(scored, cheap, make_run):
+    measured = backbone_table(make_run("own", text=TEXT.format("false")), [0]).query("source == 'measured'").set_index("backbone")
+    row = measured.loc["MobileNet V2"]
+    assert row["gmacs"] == 2 and row["abs_rel"] != row["abs_rel"]
+    assert row["note"] == "cost with a new network at the paper's size; metrics: not run: profile own does not train it"
+
+
+def test_without_imagenet_weights_their_row_says_not_run(scored, cheap, make_run):
+    measured = backbone_table(make_run("own", text=TEXT.format("false")), [0]).query("source == 'measured'").set_index("backbone")
+    assert measured.index[-2:].tolist() == ["w/ pt", "w/o pt"]
+    row = measured.loc["w/ pt"]
+    assert row["note"].startswith("not run: no ImageNet weights in this profile") and row["abs_rel"] != row["abs_rel"]
+    assert measured.loc["w/o pt", "variant"] == "dual" and measured.loc["w/o pt", "abs_rel"] == pytest.approx(0.2)
+    assert "no ImageNet weights" in measured.loc["w/o pt", "note"]
+
+
+def test_with_imagenet_weights_both_rows_have_their_training(scored, cheap, make_run):
+    text = TEXT.format("true") + "train: {lr: , lr_scratch: , dual: , dual_scratch: }\n"
+    measured = backbone_table(make_run("own", text=text), [0]).query("source == 'measured'").set_index("backbone")
+    assert measured.loc["w/ pt", "abs_rel"] == pytest.approx(0.2) and measured.loc["w/ pt", "variant"] == "dual"
+    assert measured.loc["w/o pt", "abs_rel"] == pytest.approx(0.25) and measured.loc["w/o pt", "variant"] == "dual_scratch"
+    assert "no ImageNet" not in measured.loc["w/ pt", "note"] and "no ImageNet" in measured.loc["w/o pt", "note"]

@@ -1,0 +1,360 @@
+"""Trainings by name: what each starts from, what its card says, when it is done or stale, and how it stops."""
+
+import json
+import os
+import shutil
+import signal
+from types import SimpleNamespace
+
+import pytest
+import torch
+from accelerate.state import AcceleratorState
+from safetensors.torch import load_file
+from small_kitti import DRIVE, write_calibration, write_drive
+
+from dualdepth.checkpoints import load_card, load_checkpoint
+from dualdepth.data.triplets import drive_triplets
+from dualdepth.errors import InputError
+from dualdepth.hr_stage import HRStage
+from dualdepth.networks.architecture import Architecture
+from dualdepth.networks.lr_net import LRNet
+from dualdepth.networks.pose_net import PoseNet
+from dualdepth.predict import load_depth_net
+from dualdepth.preparation import Sources, write_identity, write_training_index
+from dualdepth.results import Run, file_digest
+from dualdepth.trainings import make_stage, start_weights, train_variant
+
+OTHER = "2011_09_26/2011_09_26_drive_0002_sync"
+STEPS = 3
+ONE_STEP = {"training.hr.max_steps": 1}
+
+
+@pytest.fixture(autouse=True)
+def quiet_torch():
+    """Each training decides precision and determinism for itself."""
+    yield
+    AcceleratorState._reset_state(reset_partial_state=True)
+    torch.use_deterministic_algorithms(False)
+
+
+@pytest.fixture(scope="module")
+def backbones(tmp_path_factory):
+    """Folders of two small ResNets."""
+    from transformers import ResNetConfig
+
+    def folder(name, width):
+        path = tmp_path_factory.mktemp(name)
+        ResNetConfig(hidden_sizes=[16, 32, 48, width], depths=[1, 1, 1, 1], embedding_size=16, layer_type="basic").save_pretrained(path)
+        return str(path)
+
+    return SimpleNamespace(usual=folder("usual", 64), other=folder("other", 80))
+
+
+@pytest.fixture(scope="module")
+def run_in(backbones):
+    """A run in a folder that looks like a checkout, with changes of its profile."""
+
+    def make(root, encoder=backbones.usual, hr_size=(192, 192), lr=None):
+        values = {
+            "about": "a test",
+            "data": {"source": "kitti", "train_drives": [DRIVE], "hr_size": hr_size},
+            "training": {
+                **{"encoder": encoder, "pretrained": False, "workers": 0, "precision": "float32", "checkpoint_every": 2, "log_every": 1},
+                "lr": lr or {"batch_size": 1, "max_steps": 2},
+                "hr": {"batch_size": 1, "epochs": 1},
+            },
+            "train": {"lr": None, "dual": None, "dual_no_sa": None, "hr_only": ONE_STEP, "one_network": ONE_STEP},
+            "variants": {"one_network": {"label": "one", "about": "one network", "network": "single"}},
+        }
+        (root / "notebooks").mkdir(exist_ok=True)
+        (root / "Snakefile").touch()
+        path = root / "own.yaml"
+        path.write_text(json.dumps(values))  # JSON is YAML
+        return Run(str(path), root)
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def trained(run_in, tmp_path_factory):
+    """A run whose `lr` was trained on one drive and whose `dual` on another; not to be changed."""
+    root = tmp_path_factory.mktemp("checkout")
+    kitti = root / "kitti"
+    write_calibration(kitti)
+    for drive in (DRIVE, OTHER):
+        write_drive(kitti, range(STEPS + 2), drive)
+    run = run_in(root)
+    Sources(kitti_root=kitti, test_list=root / "test_files.txt").save(run)
+    for drive, variant in ((DRIVE, "lr"), (OTHER, "dual")):
+        targets = drive_triplets(kitti, [drive])
+        write_training_index(run, Sources.load(run), targets)
+        write_identity(run, Sources.load(run), targets)
+        assert train_variant(run, variant, 0) == run.weights(variant, 0)
+    return run
+
+
+@pytest.fixture
+def after_stage_1(trained, run_in, tmp_path):
+    """A copy of the run, before `dual`, with changes of its profile."""
+
+    def make(name="copy", **changes):
+        root = tmp_path / name
+        shutil.copytree(trained.work, root / "work" / "own", ignore=shutil.ignore_patterns("dual"))
+        return run_in(root, **changes)
+
+    return make
+
+
+def part(weights, prefix):
+    """Tensors of a weights file whose names begin with `prefix`, without it."""
+    return {name.removeprefix(prefix): value for name, value in load_file(weights).items() if name.startswith(prefix)}
+
+
+def equal(a, b):
+    return len(a) > 0 and a.keys() == b.keys() and all(torch.equal(v, b[k]) for k, v in a.items())
+
+
+def equal_anywhere(a, b):
+    return [name for name, value in a.items() if value.is_floating_point() and torch.equal(value, b[name])]
+
+
+def test_dual_holds_stage_1s_lr_net_to_the_bit_and_a_posenet_that_went_on(trained):
+    lr, dual = trained.weights("lr", 0), trained.weights("dual", 0)
+    assert equal(part(dual, "depth_net.lr_net."), part(lr, "depth_net."))
+    assert part(dual, "pose_net.").keys() == part(lr, "pose_net.").keys()
+    assert equal_anywhere(part(dual, "pose_net."), part(lr, "pose_net.")) == []
+    assert part(dual, "depth_net.hr_net.")
+    assert part(dual, "depth_net.attention.")
+
+
+@pytest.mark.parametrize("name", ["dual", "dual_no_sa", "hr_only"])
+def test_stage_2_begins_with_stage_1s_posenet_and_a_dual_network_with_its_lr_net(trained, name):
+    variant, profile = trained.profile.variant(name), trained.profile.of_variant(name)
+    stage = make_stage(profile, variant, start_weights(trained, variant, 0))
+    assert equal(stage.pose_net.state_dict(), part(trained.weights("lr", 0), "pose_net."))
+    if name == "hr_only":
+        assert not hasattr(stage.depth_net, "lr_net")
+    else:
+        assert equal(stage.depth_net.lr_net.state_dict(), part(trained.weights("lr", 0), "depth_net."))
+        assert not any(p.requires_grad for p in stage.depth_net.lr_net.parameters())
+
+
+def test_a_single_network_begins_with_nothing(trained, backbones):
+    variant, profile = trained.profile.variant("one_network"), trained.profile.of_variant("one_network")
+    assert start_weights(trained, variant, 0) is None
+    torch.manual_seed(5)
+    stage = make_stage(profile, variant, None)
+    torch.manual_seed(5)
+    depth_net, pose_net = LRNet(backbones.usual), PoseNet()
+    assert isinstance(stage, HRStage)
+    assert equal(stage.depth_net.state_dict(), depth_net.state_dict())
+    assert equal(stage.pose_net.state_dict(), pose_net.state_dict())
+
+
+@pytest.mark.parametrize(("name", "pretrained"), [("dual", False), ("hr_only", False), ("one_network", True)])
+def test_imagenets_weights_are_for_single_networks_alone(trained, monkeypatch, name, pretrained):
+    """LR-Net's encoder is stage 1's, so a hub that cannot be reached must not stop stage 2."""
+    asked, build = [], Architecture.build
+    monkeypatch.setattr(Architecture, "build", lambda self, pretrained=False: asked.append(pretrained) or build(self))
+    profile = trained.profile.of_variant(name)
+    profile = profile.model_copy(update={"training": profile.training.model_copy(update={"pretrained": True})})
+    variant = trained.profile.variant(name)
+    make_stage(profile, variant, start_weights(trained, variant, 0))
+    assert asked == [pretrained]
+
+
+def test_the_card_says_which_network_it_is_what_it_saw_and_what_it_started_from(trained, backbones):
+    lr, dual = (load_card(trained.weights(name, 0)) for name in ("lr", "dual"))
+    expected = {
+        "variant": "dual",
+        "network": "dual",
+        "encoder": backbones.usual,
+        "link": "attention",
+        "similarity": "dot",
+        "normalise": "none",
+        "hr_size": [192, 192],
+        "pretrained": False,
+        "drives": [DRIVE, OTHER],  # stage 1's too
+        "starts_from": {"variant": "lr", "seed": 0, "sha256": file_digest(trained.weights("lr", 0))},
+        "seed": 0,
+        "recipe": trained.recipe("dual", 0),
+        "steps": STEPS,
+        "sha256": file_digest(trained.weights("dual", 0)),
+    }
+    assert {name: dual[name] for name in expected} == expected
+    assert dual["about"].endswith(", trained on 3 triplets: a test")
+    assert {name: lr[name] for name in ("variant", "network", "drives", "starts_from", "steps")} == {
+        "variant": "lr",
+        "network": "lr",
+        "drives": [DRIVE],
+        "starts_from": None,
+        "steps": 2,
+    }
+    inputs = {"work/own/prepared/triplets.csv", "work/own/runs/lr/seed0/model.safetensors"}
+    assert dual["stamp"]["inputs_sha256"] == {name: file_digest(trained.root / name) for name in inputs}
+
+
+@pytest.mark.parametrize(("name", "network"), [("lr", "lr"), ("dual", "dual"), ("hr_only", "hr"), ("one_network", "single")])
+def test_each_kind_of_network_is_trained_and_read_back(trained, after_stage_1, name, network):
+    run = trained if name in ("lr", "dual") else after_stage_1()
+    weights = run.weights(name, 0)
+    if run is not trained:
+        train_variant(run, name, 0)
+        assert load_card(weights)["steps"] == 1
+        drives = {"hr_only": [DRIVE, OTHER], "one_network": [OTHER]}[name]
+        assert load_card(weights)["drives"] == drives
+        assert (load_card(weights)["starts_from"] is None) == (name == "one_network")
+    net, architecture, hr_size = load_depth_net(weights)
+    assert architecture.network == network
+    assert hr_size == (192, 192)
+    assert equal(net.state_dict(), part(weights, "depth_net."))
+
+
+def test_what_is_done_is_not_trained_again_but_marked(trained, capsys, monkeypatch):
+    monkeypatch.setattr(HRStage, "forward", lambda *_: pytest.fail("it trains"))
+    weights = trained.weights("dual", 0)
+    marker = weights.with_name("trained.json")
+    before = weights.stat().st_mtime_ns
+    for _ in range(2):
+        assert json.loads(marker.read_text()) == {"weights_sha256": file_digest(weights)}
+        marker.unlink()
+        assert train_variant(trained, "dual", 0) == weights
+    assert capsys.readouterr().out == 2 * "already trained: 3 steps, seed 0\n"
+    assert weights.stat().st_mtime_ns == before
+
+
+def test_another_stage_1_makes_stage_2_stale(trained, after_stage_1):
+    first = after_stage_1("first", lr={"batch_size": 1, "max_steps": 1})
+    shutil.copytree(trained.training("dual", 0), first.training("dual", 0))
+    assert first.recipe("dual", 0) == trained.recipe("dual", 0)
+    train_variant(first, "lr", 0)
+    assert file_digest(first.weights("lr", 0)) != file_digest(trained.weights("lr", 0))
+    assert first.recipe("dual", 0) != trained.recipe("dual", 0)
+    before = first.weights("dual", 0).with_name("trained.json").read_text()
+    train_variant(first, "dual", 0)
+    card = load_card(first.weights("dual", 0))
+    assert card["recipe"] == first.recipe("dual", 0)
+    assert card["starts_from"]["sha256"] == file_digest(first.weights("lr", 0))
+    assert card["drives"] == [OTHER]
+    assert equal(part(first.weights("dual", 0), "depth_net.lr_net."), part(first.weights("lr", 0), "depth_net."))
+    assert first.weights("dual", 0).with_name("trained.json").read_text() != before
+
+
+def test_one_seed_gives_the_same_weights_to_the_bit_wherever_it_is_trained(trained, after_stage_1):
+    again = train_variant(after_stage_1(), "dual", 0)
+    assert again.read_bytes() == trained.weights("dual", 0).read_bytes()
+
+
+def test_a_dual_training_that_was_stopped_and_killed_goes_on_to_the_same_weights(trained, after_stage_1, monkeypatch):
+    run, forward, calls = after_stage_1(), HRStage.forward, []
+
+    def interrupted(stage, batch):
+        calls.append(batch["name"])
+        output = forward(stage, batch)
+        if len(calls) == 1:
+            os.kill(os.getpid(), signal.SIGTERM)  # a checkpoint at the end of this step
+        if len(calls) == 3:
+            raise KeyboardInterrupt  # as a crash: the checkpoint of step 2 is the last
+        return output
+
+    monkeypatch.setattr(HRStage, "forward", interrupted)
+    for error, step in ((SystemExit, 1), (KeyboardInterrupt, 2)):
+        with pytest.raises(error):
+            train_variant(run, "dual", 0)
+        assert load_checkpoint(run.training("dual", 0) / "checkpoint.pt")["step"] == step
+        assert not run.weights("dual", 0).exists()
+    weights = train_variant(run, "dual", 0)
+    assert len(calls) == 4
+    assert load_card(weights)["resumed_at"] == 2
+    assert weights.read_bytes() == trained.weights("dual", 0).read_bytes()
+
+
+def cut(run):
+    path = run.weights("lr", 0)
+    path.write_bytes(path.read_bytes()[:-20])
+
+
+def tamper(run):
+    content = bytearray(run.weights("lr", 0).read_bytes())
+    content[-1] ^= 1
+    run.weights("lr", 0).write_bytes(content)
+
+
+def change_card(run, **changes):
+    path = run.weights("lr", 0).with_suffix(".json")
+    path.write_text(json.dumps(json.loads(path.read_text()) | changes))
+
+
+SPOILT = {
+    "no weights": (
+        lambda run: run.weights("lr", 0).unlink(),
+        r"^work/own/runs/lr/seed0/model\.safetensors is missing: run notebook 03_train_lr, variant lr, seed 0, with profile own first$",
+    ),
+    "no card": (
+        lambda run: run.weights("lr", 0).with_suffix(".json").unlink(),
+        r"/runs/lr/seed0/model\.json: the weights' card cannot be read \(.*\); keep it beside the weights$",
+    ),
+    "half a card": (
+        lambda run: run.weights("lr", 0).with_suffix(".json").write_text('{"network": "lr"'),
+        r"/runs/lr/seed0/model\.json: the weights' card cannot be read \(.*\); keep it beside the weights$",
+    ),
+    "truncated": (cut, r"/runs/lr/seed0/model\.safetensors: cannot be read as safetensors \(.*\); train again or copy it again$"),
+    "tampered": (tamper, r"/runs/lr/seed0/model\.safetensors: sha256 .* is not the card's .*; the file was changed, copy it again$"),
+    "another network": (
+        lambda run: change_card(run, network="dual"),
+        r"/runs/lr/seed0/model\.safetensors: trained with network 'dual' instead of 'lr'; train lr again with this profile$",
+    ),
+    "another version's card": (
+        lambda run: change_card(run, network={"encoder": "resnet50", "hr_size": [192, 192]}, encoder=None, hr_size=None),
+        r"/runs/lr/seed0/model\.safetensors: trained with network .*; train lr again with this profile$",
+    ),
+    "no triplets": (
+        lambda run: (run.prepared / "triplets.csv").unlink(),
+        r"^work/own/prepared/triplets\.csv is missing: run notebook 02_prepare_data with profile own first$",
+    ),
+    "no sources": (
+        lambda run: run.sources.unlink(),
+        r"^work/own/sources\.json is missing: run notebook 01_download_data with profile own first$",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", SPOILT)
+def test_what_stage_2_needs_is_asked_for_in_one_line_that_names_it_and_the_mend(after_stage_1, kind):
+    spoil, said = SPOILT[kind]
+    run = after_stage_1()
+    spoil(run)
+    with pytest.raises(InputError, match=said) as error:
+        train_variant(run, "dual", 0)
+    assert "\n" not in str(error.value)
+    assert not run.weights("dual", 0).exists()
+    assert not run.weights("dual", 0).with_name("trained.json").exists()
+
+
+@pytest.mark.parametrize("name", ["dual", "hr_only"])
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"encoder": "other"}, r"encoder '\S*usual\S*' instead of '\S*other\S*'"),
+        ({"hr_size": (192, 288)}, r"hr_size \[192, 192\] instead of \[192, 288\]"),
+    ],
+    ids=["backbone", "size"],
+)
+def test_stage_1_of_another_backbone_or_size_is_refused(after_stage_1, backbones, name, change, said):
+    run = after_stage_1(**{key: getattr(backbones, value) if key == "encoder" else value for key, value in change.items()})
+    with pytest.raises(
+        InputError, match=rf"/runs/lr/seed0/model\.safetensors: trained with {said}; train lr again with this profile$"
+    ) as e:
+        train_variant(run, name, 0)
+    assert "\n" not in str(e.value)
+    assert not run.weights(name, 0).exists()
+
+
+def test_stage_1_of_another_seed_does_not_do(after_stage_1):
+    with pytest.raises(InputError, match=r"^work/own/runs/lr/seed1/model\.safetensors is missing: .* variant lr, seed 1, "):
+        train_variant(after_stage_1(), "dual", 1)
+
+
+def test_an_unknown_variant_is_an_error_that_names_the_nearest(trained):
+    with pytest.raises(InputError, match=r"^variant 'duel' is unknown; did you mean dual\? There are lr, dual, .*one_network$"):
+        train_variant(trained, "duel", 0)
