@@ -28,6 +28,7 @@ from dualdepth.evaluation.cost import latency
 from dualdepth.hr_stage import HRStage
 from dualdepth.networks.architecture import Architecture
 from dualdepth.networks.pose_net import PoseNet
+from dualdepth.results import device_name
 from dualdepth.stages import LRStage
 
 RAW_SIZE = (375, 1242)
@@ -150,8 +151,7 @@ def bench(encoder: str, repeats: int) -> pd.DataFrame:
         rows.append(("  loading a batch on one core / step", load * training.lr.batch_size / chosen["step"], "ratio"))
         rows += high_resolution_steps(profile, batch, device, max(repeats // 2, 1), bar)
     rows += inference(device, repeats)
-    name = torch.cuda.get_device_name() if device.type == "cuda" else f"CPU, {torch.get_num_threads()} threads"
-    return pd.DataFrame(rows, columns=["what", "value", "unit"]).assign(device=name)
+    return pd.DataFrame(rows, columns=["what", "value", "unit"]).assign(device=device_name())
 
 
 def high_resolution_steps(

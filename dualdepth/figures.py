@@ -77,7 +77,7 @@ def pole_window(labels: np.ndarray) -> Window | None:
 
 def depth_rows(images: Sequence[np.ndarray], depths: dict[str, Sequence[np.ndarray]], titles: Sequence[str]) -> Picture:
     """Frames in rows: image, then one depth map in metres for each name in `depths`."""
-    figure = Picture(figsize=(13, 13 / (1 + len(depths)) * 0.36 * len(images) + 0.3), layout="constrained")
+    figure = Picture(figsize=_size(images[0].shape, len(images), 1 + len(depths)), layout="constrained")
     cells = figure.subplots(len(images), 1 + len(depths), squeeze=False)
     for number, (row, image, title) in enumerate(zip(cells, images, titles)):
         show_image(row[0], image, title)
@@ -98,13 +98,18 @@ def far_errors(
     images: Sequence[np.ndarray], errors: dict[str, Sequence[np.ndarray]], windows: Sequence[Window], titles: Sequence[str]
 ) -> Picture:
     """Windows of frames in rows: image, then relative errors (NaN = unknown), which show where distant objects go wrong."""
-    figure = Picture(figsize=(13, 13 / (1 + len(errors)) * 0.55 * len(images) + 0.3), layout="constrained")
+    figure = Picture(figsize=_size((windows[0].height, windows[0].width), len(images), 1 + len(errors)), layout="constrained")
     cells = figure.subplots(len(images), 1 + len(errors), squeeze=False)
     for number, (row, image, window, title) in enumerate(zip(cells, images, windows, titles)):
         show_image(row[0], window.of(image), title)
         for axes, (name, maps) in zip(row[1:], errors.items()):
             show_error(axes, window.of(maps[number]), name)
     return figure
+
+
+def _size(shape: Sequence[int], rows: int, columns: int) -> tuple[float, float]:
+    """Figure size in inches for a grid of pictures of `shape` = (H, W, …) with a line of text above each."""
+    return 13.0, rows * (12.4 / columns * shape[0] / shape[1] + 0.22) + 0.1
 
 
 BOXES = {

@@ -3,13 +3,13 @@
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import nn
 
 from dualdepth.config import Profile
 from dualdepth.data.loading import low_resolution, to_unit
 from dualdepth.losses import total_loss
 from dualdepth.networks.pose_net import PoseNet
-from dualdepth.stages import StageOutput, statistics
+from dualdepth.stages import StageOutput
 
 
 class HRStage(nn.Module):
@@ -48,11 +48,5 @@ class HRStage(nn.Module):
                 mean_disparity=self.loss.mean_disparity,
                 automask=self.loss.beyond_paper_automask,
             )
-        finest = output.disparities[0]
-        numbers = statistics(losses, finest, poses, output.features) | self._attention_scale()
-        return StageOutput(losses, numbers, images[:, 0], finest.detach())
-
-    def _attention_scale(self) -> dict[str, Tensor]:
-        """Root mean square of what SA-Attention hands over, where there is one."""
-        attention = getattr(self.depth_net, "attention", None)
-        return {} if attention is None or attention.scale is None else {"attention_scale": attention.scale}
+        scale = getattr(getattr(self.depth_net, "attention", None), "scale", None)
+        return StageOutput(losses, target, output.disparities[0].detach(), poses.detach(), output.features.detach(), scale)

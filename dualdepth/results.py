@@ -156,11 +156,13 @@ def _short_digest(*parts: str) -> str:
 
 
 def device_name() -> str:
-    """The GPU's name, or the CPU with its number of threads; nothing is loaded to find out."""
+    """The GPU's name, or the CPU's with the number of threads used; nothing is loaded to find out."""
     torch = sys.modules.get("torch")
     if torch and torch.cuda.is_available():
         return torch.cuda.get_device_name()
-    return f"CPU, {torch.get_num_threads() if torch else os.cpu_count()} threads"
+    information = Path("/proc/cpuinfo").read_text(encoding="utf-8") if Path("/proc/cpuinfo").exists() else ""
+    models = [line.partition(":")[2].strip() for line in information.splitlines() if line.startswith("model name")]
+    return f"{models[0] if models else 'CPU'}, {torch.get_num_threads() if torch else os.cpu_count()} threads"
 
 
 _SHAPING = (

@@ -14,14 +14,40 @@ from dualdepth.networks.pose_net import PoseNet
 
 
 class StageOutput(NamedTuple):
-    """Losses of a batch, its statistics for the log, and what a picture needs."""
+    """Losses of a batch, what a picture of it needs, and what its numbers for the log are taken from; all but the losses is detached."""
 
     losses: Losses
-    statistics: dict[str, Tensor]
     target: Tensor
     """(B, 3, H, W) in [0, 1]."""
     disparity: Tensor
-    """(B, 1, H, W), finest scale, detached."""
+    """(B, 1, H, W), finest scale."""
+    poses: Tensor
+    """(B, S, 6), target → source."""
+    features: Tensor
+    """(B, 16, H, W), the decoder's last."""
+    attention_scale: Tensor | None = None
+    """Root mean square of SA-Attention's features, where there are some."""
+
+    @property
+    @torch.no_grad()
+    def statistics(self) -> dict[str, Tensor]:
+        """Numbers for the log, 0-d: loss components, pose size (depth units, radians), disparity, spread of the features."""
+        losses, disparity = self.losses, self.disparity
+        numbers = {
+            "loss": losses.total.detach(),
+            "photometric": losses.photometric.detach(),
+            "smoothness": losses.smoothness.detach(),
+            "feature": losses.feature.detach(),
+            "valid_share": losses.valid_share,
+            "translation": self.poses[..., :3].norm(dim=-1).mean(),
+            "rotation": self.poses[..., 3:].norm(dim=-1).mean(),
+            "disparity_min": disparity.amin(),
+            "disparity_mean": disparity.mean(),
+            "disparity_max": disparity.amax(),
+            "disparity_spread": disparity.std(dim=(2, 3)).mean() / disparity.mean(),
+            "feature_spread": self.features.float().std(dim=(2, 3)).mean(),
+        }
+        return numbers if self.attention_scale is None else numbers | {"attention_scale": self.attention_scale}
 
 
 class LRStage(nn.Module):
@@ -62,23 +88,4 @@ class LRStage(nn.Module):
                 features=(features[:, 0], features[:, 1:]) if with_features else None,
                 automask=self.loss.beyond_paper_automask,
             )
-        return StageOutput(losses, statistics(losses, disparities[0], poses, features[:, 0]), images[:, 0], disparities[0].detach())
-
-
-@torch.no_grad()
-def statistics(losses: Losses, disparity: Tensor, poses: Tensor, features: Tensor) -> dict[str, Tensor]:
-    """Numbers for the log, as 0-d tensors: loss components, pose size (depth units, radians), disparity, spread of the features."""
-    return {
-        "loss": losses.total.detach(),
-        "photometric": losses.photometric.detach(),
-        "smoothness": losses.smoothness.detach(),
-        "feature": losses.feature.detach(),
-        "valid_share": losses.valid_share,
-        "translation": poses[..., :3].norm(dim=-1).mean(),
-        "rotation": poses[..., 3:].norm(dim=-1).mean(),
-        "disparity_min": disparity.amin(),
-        "disparity_mean": disparity.mean(),
-        "disparity_max": disparity.amax(),
-        "disparity_spread": disparity.std(dim=(2, 3)).mean() / disparity.mean(),
-        "feature_spread": features.float().std(dim=(2, 3)).mean(),
-    }
+        return StageOutput(losses, images[:, 0], disparities[0].detach(), poses.detach(), features[:, 0].detach())

@@ -18,6 +18,7 @@ from dualdepth.config import Profile
 from dualdepth.data.loading import StatelessBatches, TripletDataset, make_loader
 from dualdepth.data.triplets import Triplet
 from dualdepth.errors import InputError
+from dualdepth.results import device_name
 from dualdepth.sections import Stage
 from dualdepth.training_log import TrainingLog
 
@@ -100,7 +101,7 @@ def train(
     log = TrainingLog(folder, start) if accelerator.is_main_process else None
     model.train()
     began, seconds = time.perf_counter(), 0.0
-    bar = tqdm(total=total, initial=start, desc=f"training {folder.name}", unit="step", disable=not accelerator.is_main_process)
+    bar = tqdm(total=total, initial=start, desc=f"{folder.parent.name} {folder.name}", unit="step", disable=not accelerator.is_main_process)
 
     def save(step: int) -> None:
         if accelerator.is_main_process:
@@ -144,8 +145,7 @@ def train(
         seconds = time.perf_counter() - began
     weights = folder / "model.safetensors"
     if accelerator.is_main_process:
-        device = torch.cuda.get_device_name() if accelerator.device.type == "cuda" else f"CPU, {torch.get_num_threads()} threads"
-        done = {"steps": total, "seconds_of_last_run": round(seconds, 1), "resumed_at": start, "device": device}
+        done = {"steps": total, "seconds_of_last_run": round(seconds, 1), "resumed_at": start, "device": device_name()}
         save_weights(weights, accelerator.unwrap_model(model), card | {"seed": seed, "recipe": recipe} | done)
         (folder / "checkpoint.pt").unlink(missing_ok=True)
         log.close()

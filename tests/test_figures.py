@@ -40,7 +40,7 @@ def test_a_window_is_of_the_rows_and_columns_it_names():
     assert part[0, 0] == 10_020 and part[-1, -1] == 12_024 and part.shape == (3, 5)
 
 
-@pytest.mark.parametrize(("top", "left"), [(0, 0), (20, 100), (120, 200), (70, 500), (175, 615)])
+@pytest.mark.parametrize(("top", "left"), [(0, 0), (20, 100), (120, 200), (70, 500), (175, 610)])
 def test_the_boundary_window_shows_a_near_object(top, left):
     depth = np.full((200, 640), 30.0)
     depth[top : top + 25, left : left + 25] = 5
@@ -82,12 +82,12 @@ def test_there_is_no_far_window_where_nothing_is_far():
 
 def test_the_pole_window_is_around_the_largest_pole():
     labels = np.zeros((200, 640), np.uint8)
-    labels[50:150, 300:304] = POLE
+    labels[60:140, 300:304] = POLE
     labels[20:60, 30:34] = POLE
     labels[:, 500:600] = 8  # something larger that is no pole
     window = pole_window(labels)
     assert window == around(99.5, 301.5, labels.shape, 0.5)
-    assert holds(window, 50, 300) and holds(window, 149, 303)
+    assert holds(window, 60, 300) and holds(window, 139, 303)
 
 
 @pytest.mark.parametrize(("height", "shown"), [(0, False), (4, False), (5, True)])
@@ -105,7 +105,7 @@ def test_interpolated_depth_is_the_lasers_at_its_points():
     depth = interpolated(sparse)
     assert depth.shape == sparse.shape
     np.testing.assert_allclose(depth[sparse > 0], sparse[sparse > 0], rtol=1e-6)
-    assert 2.99 < depth[depth > 0].min() and depth.max() < 70.1
+    assert depth[depth > 0].min() > 2.99 and depth.max() < 70.1
 
 
 def test_between_the_points_inverse_depth_is_linear():

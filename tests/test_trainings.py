@@ -342,11 +342,10 @@ def test_what_stage_2_needs_is_asked_for_in_one_line_that_names_it_and_the_mend(
 )
 def test_stage_1_of_another_backbone_or_size_is_refused(after_stage_1, backbones, name, change, said):
     run = after_stage_1(**{key: getattr(backbones, value) if key == "encoder" else value for key, value in change.items()})
-    with pytest.raises(
-        InputError, match=rf"/runs/lr/seed0/model\.safetensors: trained with {said}; train lr again with this profile$"
-    ) as e:
+    said = rf"/runs/lr/seed0/model\.safetensors: trained with {said}; train lr again with this profile$"
+    with pytest.raises(InputError, match=said) as error:
         train_variant(run, name, 0)
-    assert "\n" not in str(e.value)
+    assert "\n" not in str(error.value)
     assert not run.weights(name, 0).exists()
 
 

@@ -11,7 +11,7 @@ from dualdepth import paper
 from dualdepth.evaluation.cost import count, latency
 from dualdepth.networks.architecture import Architecture
 from dualdepth.networks.dual_net import BothDepths
-from dualdepth.results import Run
+from dualdepth.results import Run, device_name
 from dualdepth.scoring import device
 from dualdepth.tables.rows import training_row, with_paper
 
@@ -41,7 +41,7 @@ def cost_row(name: str, repeats: int) -> dict[str, Any]:
     row: dict[str, Any] = {"params_m": (params or cost.params) / 1e6, "gmacs": cost.macs / 1e9}
     for precision, suffix in (("float32", ""), ("bf16", "_bf16")):
         measured = latency(counted, image, repeats=repeats, warmup=1, precision=precision)
-        row |= {f"latency_ms{suffix}": measured.median_ms, f"peak_mb{suffix}": measured.peak_mb, "device": measured.device}
+        row |= {f"latency_ms{suffix}": measured.median_ms, f"peak_mb{suffix}": measured.peak_mb, "device": device_name()}
     return row
 
 

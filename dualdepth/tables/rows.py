@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 
 from dualdepth import paper
+from dualdepth.checkpoints import load_card
 from dualdepth.evaluation.depth import METRICS
 from dualdepth.evaluation.statistics import Comparison, compare, mean_std
 from dualdepth.results import Run
@@ -31,7 +32,13 @@ def training_row(
     if variant not in run.profile.train:
         return {"variant": variant, "source": "measured", "note": f"not run: profile {run.profile.name} does not train it"}
     values = mean_row([scores(run, variant, seed) for seed in seeds], columns)
-    return {"variant": variant, **values, "seeds": said_seeds(seeds), "source": "measured", "note": training_note(run, variant)}
+    note = f"{training_note(run, variant)}, {steps(run, variant, seeds[0])} steps"
+    return {"variant": variant, **values, "seeds": said_seeds(seeds), "source": "measured", "note": note}
+
+
+def steps(run: Run, variant: str, seed: int) -> int:
+    """Optimiser steps of a training, from its card."""
+    return int(load_card(run.weights(variant, seed))["steps"])
 
 
 def said_seeds(seeds: Sequence[int]) -> str:
@@ -75,14 +82,23 @@ def compare_trainings(
 
     Returns:
         Rows per pair and metric: both means, the difference a − b, its 95 % interval over images, its spread over seeds, and in words
-        whether a is better outside both. A pair that was not trained has words alone.
+        whether a is better outside both. A pair that was not trained, or not equally long in the same stage, has words alone.
     """
     rows = []
     for a, b in pairs:
         missing = [v for v in (a, b) if v not in run.profile.train]
         if missing:
-            rows.append({"a": a, "b": b, "in_words": f"not run: profile {run.profile.name} does not train {' nor '.join(missing)}"})
+            rows.append(
+                {"a": a, "b": b, "metric": "", "in_words": f"not run: profile {run.profile.name} does not train {' nor '.join(missing)}"}
+            )
             continue
+        if run.profile.variant(a).stage == run.profile.variant(b).stage:
+            taken = [steps(run, variant, seeds[0]) for variant in (a, b)]
+            if taken[0] != taken[1]:
+                rows.append(
+                    {"a": a, "b": b, "metric": "", "in_words": f"not compared: {a} was trained for {taken[0]} steps, {b} for {taken[1]}"}
+                )
+                continue
         frames = [[scores(run, variant, seed) for seed in seeds] for variant in (a, b)]
         shared = frames[0][0].index
         for frame in (*frames[0], *frames[1]):
@@ -91,7 +107,7 @@ def compare_trainings(
             result = compare(*([frame.loc[shared, metric].to_numpy() for frame in method] for method in frames))
             words = in_words(result, metric)
             rows.append({"a": a, "b": b, "metric": metric, **result._asdict(), "n": len(shared), "in_words": words})
-    return pd.DataFrame(rows)
+    return pd.DataFrame(rows, columns=["a", "b", "metric", *Comparison._fields, "n", "in_words"])
 
 
 LOWER_IS_BETTER = ("abs_rel", "sq_rel", "rmse", "rmse_log")

@@ -21,11 +21,19 @@ def make_run(tmp_path):
             profile = str(path)
         run = Run(profile, tmp_path)
         scored = [["2011_09_26/2011_09_26_drive_0001_sync", i, "image_02"] for i in range(frames)]
-        run.prepared.mkdir(parents=True)
+        run.prepared.mkdir(parents=True, exist_ok=True)
         write_json(run.prepared / "test_frames.json", {"frames": scored, "listed": listed or frames})
         return run
 
     return make
+
+
+@pytest.fixture(autouse=True)
+def steps_of(monkeypatch):
+    """Steps that the cards of trainings say, by variant; 100 where nothing is said."""
+    steps = {}
+    monkeypatch.setattr(rows, "load_card", lambda weights: {"steps": steps.get(weights.parts[-3], 100)})
+    return steps
 
 
 @pytest.fixture

@@ -69,3 +69,12 @@ def test_claims_about_networks_that_are_not_trained_stay_with_the_reason(scored,
     open_claims = table[table["in_words"].str.startswith("not run")]
     assert set(zip(open_claims["a"], open_claims["b"])) == set(CLAIMS) - {("dual", "lr"), ("dual_no_sa", "lr"), ("dual", "dual_no_sa")}
     assert open_claims["difference"].isna().all()
+
+
+def test_a_claim_is_not_judged_by_a_training_that_was_cut_short(scored, make_run, steps_of):
+    steps_of["hr_only"] = 5
+    table = ablation_claims(make_run(), [0])
+    words = dict(zip(zip(table["a"], table["b"]), table["in_words"]))
+    assert words["dual", "hr_only"] == "not compared: dual was trained for 100 steps, hr_only for 5"
+    assert table.query("b == 'hr_only'")["claim"].tolist() == ["HR-Net cannot work by itself"]
+    assert table.query("b != 'hr_only'")["difference"].notna().all()

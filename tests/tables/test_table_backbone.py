@@ -28,6 +28,7 @@ def latencies(monkeypatch):
 
     monkeypatch.setattr(backbone, "latency", latency)
     monkeypatch.setattr(backbone, "device", lambda: "meta")
+    monkeypatch.setattr(backbone, "device_name", lambda: "a device, 2 threads")
     monkeypatch.setattr(torch, "autocast", lambda *_, **__: contextlib.nullcontext())  # it knows no tensors without values
     with torch.device("meta"):
         yield asked
@@ -85,7 +86,7 @@ def test_costs_are_those_counted_by_hand(name, latencies):
     size = (128, 416) if name.startswith("LR-Net") else (384, 1248)
     assert latencies == [(size, 4, "float32"), (size, 4, "bf16")]
     assert (row["latency_ms"], row["latency_ms_bf16"], row["peak_mb"], row["peak_mb_bf16"]) == (7, 3, 100, 60)
-    assert row["device"] == "a device"
+    assert row["device"] == "a device, 2 threads"
 
 
 @pytest.mark.parametrize("name", ["MobileNet V2", "ResNet18", "Dual-network (ResNet50)"])

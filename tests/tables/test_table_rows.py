@@ -7,8 +7,10 @@ import pandas as pd
 import pytest
 
 from dualdepth import paper
+from dualdepth.checkpoints import load_card
 from dualdepth.evaluation.depth import METRICS
 from dualdepth.evaluation.statistics import Comparison
+from dualdepth.tables import rows
 from dualdepth.tables.rows import compare_trainings, in_words, mean_row, training_note, training_row, with_paper
 
 KITTI = "about: x\ndata:\n  source: kitti\n  train_list: eigen_zhou\n"
@@ -41,6 +43,7 @@ def test_all_seven_metrics_are_in_a_trainings_row(make_run, make_scores):
     assert asked == [("dual", 0), ("dual", 2)]
     assert row["variant"] == "dual" and row["source"] == "measured"
     assert row["seeds"] == "0 2" and row["n"] == 6
+    assert row["note"].endswith("last epoch, 100 steps")
     for metric in METRICS:
         assert row[metric] == pytest.approx(0.3)
         assert row[f"{metric}_std"] == pytest.approx(0.1 * math.sqrt(2))
@@ -115,7 +118,41 @@ def test_a_pair_that_was_not_trained_has_words_alone(make_run, make_scores):
     assert table["in_words"].iloc[0] == "not run: profile own does not train dual_no_sa"
     assert table["in_words"].iloc[-1] == "not run: profile own does not train lr_scratch nor dual_scratch"
     assert table["difference"].notna().tolist() == [False, True, True, False]
-    assert table["metric"].iloc[1:3].tolist() == ["abs_rel", "a1"]
+    assert table["metric"].tolist() == ["", "abs_rel", "a1", ""]
+
+
+@pytest.mark.parametrize(
+    ("pair", "steps", "words"),
+    [
+        (("dual", "dual_no_sa"), {"dual": 100, "dual_no_sa": 5}, "not compared: dual was trained for 100 steps, dual_no_sa for 5"),
+        (("lr", "lr_scratch"), {"lr": 30, "lr_scratch": 31}, "not compared: lr was trained for 30 steps, lr_scratch for 31"),
+    ],
+)
+def test_trainings_of_one_stage_are_compared_only_if_equally_long(make_run, make_scores, steps_of, pair, steps, words):
+    def compared():
+        return compare_trainings(make_run(), [pair], [0], scores=lambda run, variant, seed: make_scores(0.2))
+
+    steps_of |= steps
+    table = compared()
+    assert table["in_words"].tolist() == [words]
+    assert table[["mean_a", "mean_b", "difference", "low", "high", "spread", "n"]].isna().all(axis=None)
+    steps_of |= dict.fromkeys(pair, 77)
+    assert compared()["difference"].notna().all()
+
+
+def test_trainings_of_two_stages_are_compared_whatever_their_length(make_run, make_scores, steps_of):
+    steps_of |= {"dual": 40, "lr": 2000}
+    table = compare_trainings(make_run(), [("dual", "lr")], [0], scores=lambda run, variant, seed: make_scores(0.2))
+    assert table["difference"].notna().tolist() == [True, True]
+
+
+def test_the_number_of_steps_is_read_from_the_trainings_card(make_run, monkeypatch):
+    monkeypatch.setattr(rows, "load_card", load_card)
+    run = make_run()
+    card = run.training("dual", 2) / "model.json"
+    card.parent.mkdir(parents=True)
+    card.write_text('{"steps": 396}')
+    assert rows.steps(run, "dual", 2) == 396
 
 
 def comparison(difference, low, high, spread=math.nan, seeds=1):
