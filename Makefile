@@ -39,7 +39,7 @@ lint: env ## ruff
 	ruff format --check .
 
 lab: env ## JupyterLab on this machine's own address
-	jupyter lab --ip 127.0.0.1 notebooks
+	jupyter lab --ip 127.0.0.1 $$(test $$(id -u) != 0 || echo --allow-root) notebooks
 
 bench: env ## speed of loader, training step, inference
 	python -m dualdepth.bench

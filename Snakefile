@@ -126,7 +126,8 @@ rule train_hr:
 
 
 SHARED = {
-    "settings": run_.profile.digest("evaluation", "about", "train"),
+    "settings": run_.profile.digest("evaluation", "about"),
+    "variants": run_.profile.variants_digest(),
     "seeds": ",".join(map(str, SEEDS)),
     "code": code_digest("predict", "tables"),
 }

@@ -89,6 +89,11 @@ class Profile(Settings):
             raise InputError(f"variant {name}: training.augmentation.augment_first must be true at high resolution")
         return profile
 
+    def variants_digest(self) -> str:
+        """Content hash of the variants it trains, their labels included, for tables."""
+        values = {name: self.variant(name).model_dump(mode="json") | {"here": self.train[name]} for name in self.train}
+        return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:16]
+
     def digest(self, *sections: str) -> str:
         """Short content hash of the named sections (dots go deeper), for stamps and for what to run again."""
         values: dict[str, Any] = {}

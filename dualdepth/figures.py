@@ -136,6 +136,7 @@ ARROWS = (
     ("lr encoder", "lr decoder", "skips"),
     ("lr decoder", "lr depth", ""),
     ("lr encoder", "attention", "deepest features"),
+    ("small", "attention", "colours, coordinates"),
     ("attention", "join", "enlarged ×3"),
     ("hr encoder", "join", ""),
     ("join", "hr decoder", "skips"),

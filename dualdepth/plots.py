@@ -18,6 +18,10 @@ NEAR, FAR = 3.0, 80.0
 """Metres at the ends of the colour scale."""
 
 
+POINT_RADIUS = 2.5
+"""Pixels that a laser point is enlarged by in pictures of errors."""
+
+
 class Picture(Figure):
     """A figure that shows itself in a notebook, without pyplot's global state."""
 
@@ -76,10 +80,12 @@ def thicken(sparse: np.ndarray, pixels: int = 5) -> np.ndarray:
 
 
 def point_errors(prediction: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """|prediction − truth| / truth (H, W) at the points of a sparse truth (0 = none), enlarged to show; NaN elsewhere."""
-    error = np.where(truth > 0, np.abs(prediction - truth) / np.maximum(truth, 1e-3), 0)
-    grown = thicken(error + (truth > 0) * 1e-6)  # keeps the smallest error of a neighbourhood visible as a point
-    return np.where(grown > 0, grown, np.nan)
+    """|prediction − truth| / truth (H, W) at the points of a sparse truth (0 = none), spread to the pixels nearest to each; else NaN."""
+    from scipy.ndimage import distance_transform_edt
+
+    error = np.abs(prediction - truth) / np.maximum(truth, 1e-3)
+    distance, nearest = distance_transform_edt(truth <= 0, return_indices=True)
+    return np.where(distance <= POINT_RADIUS, error[tuple(nearest)], np.nan)
 
 
 def depth_comparison(

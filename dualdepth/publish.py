@@ -2,6 +2,7 @@
 
 import argparse
 import ast
+import json
 import shutil
 import sys
 from pathlib import Path
@@ -22,6 +23,9 @@ def publish_results(profile: str) -> int:
     """
     run = Run(profile)
     run.require(run.results / "tables", "05_table_main")
+    dirty = [p.name for p in sorted(run.results.glob("*/*.json")) if json.loads(p.read_text(encoding="utf-8"))["dirty"]]
+    if dirty:
+        raise InputError(f"{run.results}: {', '.join(dirty)} were made by code that was not committed; commit it and run again")
     target = run.root / "results" / "published" / run.profile.name
     shutil.rmtree(target, ignore_errors=True)
     # frames of real data sets are not ours to publish

@@ -31,6 +31,7 @@ CODE = {
     ),
     "train_lr": (
         *("networks.encoders", "networks.decoder", "networks.lr_net", "networks.pose_net", "geometry", "losses", "stages", "training"),
+        "building",
         *("data.augmentation", "data.loading", "data.kitti", "data.triplets"),
     ),
     "train_hr": ("networks.hr_net", "networks.attention", "networks.dual_net", "networks.architecture", "hr_stage"),
@@ -38,7 +39,7 @@ CODE = {
         *("predict", "scoring", "networks", "evaluation.depth", "evaluation.baselines"),
         *("data.augmentation", "data.loading", "data.kitti", "data.depth_maps"),
     ),
-    "tables": ("tables", "paper", "plots", "evaluation"),
+    "tables": ("tables", "paper", "plots", "figures", "evaluation"),
 }
 """Modules whose code shapes a step's result; a change in one of them makes the step stale."""
 
@@ -100,6 +101,11 @@ class Run:
         start = self.profile.variant(variant).starts_from
         data += [file_digest(self.weights(start, seed))] if start else []
         return _short_digest(self.settings_digest(variant), self.training_code(variant), str(data))
+
+    def scored_with(self, variants: Iterable[str], seeds: Iterable[int]) -> list[Path]:
+        """What a table of these trainings is made from, for its stamp: weights, scored frames, ground truth."""
+        weights = [self.weights(v, seed) for v in variants if v in self.profile.train for seed in seeds]
+        return [*weights, self.prepared / "test_frames.json", self.prepared / "ground_truth.npz"]
 
     def require(self, path: Path, notebook: str) -> Path:
         """`path`, checked to be there.

@@ -4,20 +4,14 @@ import json
 from pathlib import Path
 from typing import Any
 
-from torch import nn
-
 from dualdepth.atomic import write_text
-from dualdepth.checkpoints import load_card, load_weights
+from dualdepth.building import architecture, make_stage
+from dualdepth.checkpoints import load_card
 from dualdepth.config import Profile
 from dualdepth.data.triplets import load_triplets, read_targets
-from dualdepth.errors import InputError
-from dualdepth.hr_stage import HRStage
-from dualdepth.networks.architecture import Architecture
-from dualdepth.networks.pose_net import PoseNet
 from dualdepth.preparation import Sources
 from dualdepth.results import Run
 from dualdepth.sections import Variant
-from dualdepth.stages import LRStage
 from dualdepth.training import train
 
 
@@ -59,42 +53,11 @@ def start_weights(run: Run, variant: Variant, seed: int) -> Path | None:
     return run.require(run.weights(variant.starts_from, seed), f"03_train_lr, variant {variant.starts_from}, seed {seed},")
 
 
-def architecture(variant: Variant, profile: Profile) -> Architecture:
-    """The depth network of a variant."""
-    return Architecture(variant.network, profile.training.encoder, variant.link, variant.similarity, variant.normalise)
-
-
-def make_stage(profile: Profile, variant: Variant, start: Path | None = None) -> nn.Module:
-    """The stage a variant trains, with stage 1's LR-Net and PoseNet in it where it starts from them.
-
-    Args:
-        profile: with the variant's settings in it.
-        variant: what to build.
-        start: weights of stage 1.
-
-    Raises:
-        InputError: the weights are of another size or backbone, damaged, or not of stage 1.
-    """
-    if variant.network == "lr":
-        return LRStage(profile)
-    # LR-Net's weights, if it has any, are those of `start`: only a single network begins with ImageNet's
-    pretrained = profile.training.pretrained if variant.network == "single" else False
-    stage = HRStage(profile, architecture(variant, profile).build(pretrained), PoseNet())
-    if start:
-        _check_start(start, profile, variant)
-        load_weights(start, stage.pose_net, prefix="pose_net.")
-        if variant.network == "dual":
-            load_weights(start, stage.depth_net.lr_net, prefix="depth_net.")
-    return stage
-
-
-def _check_start(start: Path, profile: Profile, variant: Variant) -> None:
-    card = load_card(start)
-    found = (card.get("network"), card.get("encoder"), card.get("hr_size"))
-    needed = ("lr", profile.training.encoder, list(profile.data.hr_size))
-    if found != needed:
-        said = [f"{name} {f!r} instead of {n!r}" for name, f, n in zip(("network", "encoder", "hr_size"), found, needed) if f != n]
-        raise InputError(f"{start}: trained with {', '.join(said)}; train {variant.starts_from} again with this profile")
+def _pretrained(variant: Variant, profile: Profile, before: dict[str, Any] | None) -> bool:
+    """Whether the encoder began with ImageNet's weights, here or in stage 1."""
+    if variant.network == "hr":
+        return False
+    return before["pretrained"] if before else bool(profile.training.pretrained)
 
 
 def _mark(weights: Path) -> Path:
@@ -114,8 +77,8 @@ def _card(run: Run, name: str, profile: Profile, index: Path, start: Path | None
         "about": f"{variant.about}, trained on {len(targets)} triplets: {run.profile.about}",
         **architecture(variant, profile).words(),
         "hr_size": list(profile.data.hr_size),
-        "pretrained": bool(profile.training.pretrained),
+        "pretrained": _pretrained(variant, profile, before),
         "drives": sorted({frame.drive for frame, _ in targets} | set(before["drives"] if before else ())),
-        "starts_from": {k: before[k] for k in ("variant", "seed", "sha256")} if before else None,
+        "starts_from": {k: before[k] for k in ("variant", "seed", "steps", "sha256")} if before else None,
         "stamp": run.stamp([index, *([start] if start else [])]),
     }

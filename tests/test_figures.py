@@ -50,13 +50,13 @@ def test_the_boundary_window_shows_a_near_object(top, left):
             assert holds(window, row, column)
 
 
-def test_the_boundary_window_takes_ratios_not_metres_and_prefers_many_edges():
+def test_the_boundary_window_takes_ratios_not_metres_and_prefers_many_edges_to_a_huge_one():
     depth = np.full((200, 640), 40.0)
-    depth[20:50, 20:25] = 79  # a step of 39 m, not twice as far
-    depth[120:150, 500:505] = 4  # a step of 36 m, ten times as near
+    depth[20:50, 20:25] = 79.5  # a step of 39.5 m, not twice as far
+    depth[120:150, 500:505] = 1  # a step of 39 m, forty times as near
     assert holds(boundary_window(depth), 135, 502)
-    depth[20:50, 20:100:2] = 20  # each less, but many
-    assert holds(boundary_window(depth), 35, 60)
+    depth[20:50, 20:36:4] = 20
+    assert holds(boundary_window(depth), 35, 30)
 
 
 def test_the_border_to_unknown_depth_is_no_boundary():

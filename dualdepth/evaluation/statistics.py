@@ -74,13 +74,20 @@ class Comparison(NamedTuple):
 
     @property
     def clear_of_images(self) -> bool:
-        """Whether the interval over images is clear of zero."""
+        """Whether the interval over images excludes zero."""
         return self.low > 0 or self.high < 0
 
     @property
     def clear_of_seeds(self) -> bool | None:
-        """Whether the difference is larger than its spread over seeds; None with one seed."""
-        return None if np.isnan(self.spread) else abs(self.difference) > self.spread
+        """Whether the 95 % t-interval of the mean over seeds excludes zero; None with one seed.
+
+        With three seeds that asks for a difference of 2.5 times its standard deviation.
+        """
+        if np.isnan(self.spread):
+            return None
+        from scipy.stats import t
+
+        return abs(self.difference) > t.ppf(0.975, self.seeds - 1) * self.spread / self.seeds**0.5
 
 
 def compare(a: Sequence[Sequence[float]], b: Sequence[Sequence[float]], *, seed: int = 0) -> Comparison:

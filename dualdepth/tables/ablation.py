@@ -15,10 +15,10 @@ ROWS = (
 """The paper's three, what in SA-Attention does it, and the paper's other claims."""
 CLAIMS = {
     ("dual", "lr"): "the dual network is better than LR-Net",
-    ("dual_no_sa", "lr"): "HR-Net alone brings most of the gain",
-    ("dual", "dual_no_sa"): "SA-Attention brings the rest",
-    ("dual", "dual_embedding_only"): "and by its mixing, not by its size",
-    ("dual", "hr_only"): "HR-Net cannot work by itself",
+    ("dual_no_sa", "lr"): "HR-Net without SA-Attention is better than LR-Net",
+    ("dual", "dual_no_sa"): "SA-Attention adds to it",
+    ("dual", "dual_embedding_only"): "and does so by its mixing, not by its size",
+    ("dual", "hr_only"): "HR-Net is worse without LR-Net's features",
     ("lr", "lr_no_feature_loss"): "the feature reconstruction loss helps",
     ("lr", "lr_downsample_first"): "augmentation before down-sampling helps",
 }

@@ -13,13 +13,14 @@ from dualdepth.networks.architecture import Architecture
 from dualdepth.networks.dual_net import BothDepths
 from dualdepth.results import Run, device_name
 from dualdepth.scoring import device
-from dualdepth.tables.rows import training_row, with_paper
+from dualdepth.tables.rows import compare_trainings, training_row, with_paper
 
+WITHOUT_DECODER = "Dual-network (ResNet50), without LR-Net's decoder"
 NETWORKS = {
     "MobileNet V2": (Architecture("single", "mobilenet_v2"), "mobilenet_v2"),
     "ResNet18": (Architecture("single", "resnet18"), "resnet18"),
     "Dual-network (ResNet50)": (Architecture("dual", "resnet50"), "dual"),
-    "Dual-network (ResNet50), without LR-Net's decoder": (Architecture("dual", "resnet50"), "dual"),
+    WITHOUT_DECODER: (Architecture("dual", "resnet50"), "dual"),
     "LR-Net (ResNet50)": (Architecture("lr", "resnet50"), "lr"),
 }
 """Row: the paper's network, and the variant whose metrics it shows."""
@@ -29,19 +30,17 @@ def cost_row(name: str, repeats: int) -> dict[str, Any]:
     """Parameters, operations, time and memory of one inference at the paper's sizes, whatever the profile's; weights are new."""
     architecture, _ = NETWORKS[name]
     net: nn.Module = architecture.build()
-    counted, params = net, None
-    if architecture.network == "dual":
-        counted = BothDepths(net) if "without" not in name else net
-        if counted is net:
-            params = sum(p.numel() for p in net.parameters()) - sum(p.numel() for p in net.lr_net.decoder.parameters())
+    if name == WITHOUT_DECODER:
+        net.lr_net.decoder = nn.Identity()
+    elif architecture.network == "dual":
+        net = BothDepths(net)
     image = torch.rand(1, 3, *paper.RECIPE["lr_size" if architecture.sees_low_resolution else "hr_size"])
-    cost = count(counted, image)
-    where = torch.device(device())
-    counted, image = counted.to(where, memory_format=torch.channels_last), image.to(where)
-    row: dict[str, Any] = {"params_m": (params or cost.params) / 1e6, "gmacs": cost.macs / 1e9}
+    cost, where = count(net, image), torch.device(device())
+    net, image = net.to(where, memory_format=torch.channels_last), image.to(where)
+    row: dict[str, Any] = {"params_m": cost.params / 1e6, "gmacs": cost.macs / 1e9, "device": device_name()}
     for precision, suffix in (("float32", ""), ("bf16", "_bf16")):
-        measured = latency(counted, image, repeats=repeats, warmup=1, precision=precision)
-        row |= {f"latency_ms{suffix}": measured.median_ms, f"peak_mb{suffix}": measured.peak_mb, "device": device_name()}
+        measured = latency(net, image, repeats=repeats, warmup=1, precision=precision)
+        row |= {f"latency_ms{suffix}": measured.median_ms, f"peak_mb{suffix}": measured.peak_mb}
     return row
 
 
@@ -54,7 +53,7 @@ def backbone_table(run: Run, seeds: Sequence[int], repeats: int = 3) -> pd.DataF
     rows = []
     for name, (_, variant) in NETWORKS.items():
         trained = training_row(run, variant, seeds)
-        note = f"cost with a new network at the paper's size; metrics: {trained['note']}"
+        note = f"cost of a new network at the paper's size; metrics of variant {variant}: {trained['note']}"
         rows.append({"backbone": name, **cost_row(name, repeats), **trained, "note": note})
     pretrained = bool(run.profile.training.pretrained)
     without = "no ImageNet weights in this profile: `training.pretrained` is false"
@@ -67,3 +66,22 @@ def backbone_table(run: Run, seeds: Sequence[int], repeats: int = 3) -> pd.DataF
         rows.append({"backbone": "w/ pt", "variant": "dual", "source": "measured", "note": f"not run: {without}"})
         rows.append({"backbone": "w/o pt", **training_row(run, "dual", seeds)})
     return with_paper("backbone", rows)
+
+
+CLAIMS = {
+    ("dual", "resnet18"): "the dual network is better than ResNet18 at high resolution",
+    ("dual", "mobilenet_v2"): "the dual network is better than MobileNet V2 at high resolution",
+    ("dual", "dual_scratch"): "ImageNet weights help",
+}
+"""(better, worse) as the paper has it, and its claim."""
+
+
+def backbone_claims(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
+    """The paper's claims about backbones, paired. Single networks begin with a new PoseNet, the dual one after a whole stage 1."""
+    pairs = [pair for pair in CLAIMS if pair[1] != "dual_scratch" or run.profile.training.pretrained]
+    table = compare_trainings(run, pairs, seeds)
+    if len(pairs) < len(CLAIMS):
+        reason = "not run: no ImageNet weights in this profile"
+        table = pd.concat([table, pd.DataFrame([{"a": "dual", "b": "dual_scratch", "metric": "", "in_words": reason}])], ignore_index=True)
+    table.insert(0, "claim", [CLAIMS[pair] for pair in zip(table["a"], table["b"])])
+    return table

@@ -21,7 +21,7 @@ def mean_row(frames: Sequence[pd.DataFrame], columns: Sequence[str] = METRICS) -
     """Means over images, then over seeds; `<column>_std` is the standard deviation over seeds, empty for one; `n` images."""
     row: dict[str, Any] = {}
     for column in columns:
-        row[column], row[f"{column}_std"] = mean_std([frame[column].mean() for frame in frames])
+        row[column], row[f"{column}_std"] = mean_std([frame[column].mean() if len(frame) else np.nan for frame in frames])
     return row | {"n": min(len(frame) for frame in frames)}
 
 
@@ -32,13 +32,7 @@ def training_row(
     if variant not in run.profile.train:
         return {"variant": variant, "source": "measured", "note": f"not run: profile {run.profile.name} does not train it"}
     values = mean_row([scores(run, variant, seed) for seed in seeds], columns)
-    note = f"{training_note(run, variant)}, {steps(run, variant, seeds[0])} steps"
-    return {"variant": variant, **values, "seeds": said_seeds(seeds), "source": "measured", "note": note}
-
-
-def steps(run: Run, variant: str, seed: int) -> int:
-    """Optimiser steps of a training, from its card."""
-    return int(load_card(run.weights(variant, seed))["steps"])
+    return {"variant": variant, **values, "seeds": said_seeds(seeds), "source": "measured", "note": training_note(run, variant, seeds[0])}
 
 
 def said_seeds(seeds: Sequence[int]) -> str:
@@ -46,13 +40,14 @@ def said_seeds(seeds: Sequence[int]) -> str:
     return " ".join(map(str, seeds))
 
 
-def training_note(run: Run, variant: str) -> str:
-    """Backbone, size, weights it began with, and whether the test list is incomplete."""
-    chosen, training = run.profile.variant(variant), run.profile.of_variant(variant).training
+def training_note(run: Run, variant: str, seed: int) -> str:
+    """What a row's training was, from its card: backbone, size, weights it began with, steps; and whether the test list is incomplete."""
+    card, chosen = load_card(run.weights(variant, seed)), run.profile.variant(variant)
     height, width = run.profile.data.lr_size if chosen.network == "lr" else run.profile.data.hr_size
-    weights = "ImageNet weights" if training.pretrained and chosen.network != "hr" else "no ImageNet weights"
-    parts = [f"{height}x{width}", weights, "last epoch", scored_note(run)]
-    return ", ".join(filter(None, [training.encoder if chosen.network != "hr" else "", *parts]))
+    before = f" after {card['starts_from']['steps']} of stage 1" if card["starts_from"] else ""
+    parts = [card["encoder"]] if chosen.network != "hr" else []
+    parts += [f"{height}x{width}", "ImageNet weights" if card["pretrained"] else "no ImageNet weights", f"{card['steps']} steps{before}"]
+    return ", ".join([*parts, "last epoch", *filter(None, [scored_note(run)])])
 
 
 def with_paper(name: str, rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
@@ -82,44 +77,70 @@ def compare_trainings(
 
     Returns:
         Rows per pair and metric: both means, the difference a − b, its 95 % interval over images, its spread over seeds, and in words
-        whether a is better outside both. A pair that was not trained, or not equally long in the same stage, has words alone.
+        whether a is better, judged by both. A pair that cannot be compared has words alone.
     """
     rows = []
     for a, b in pairs:
-        missing = [v for v in (a, b) if v not in run.profile.train]
-        if missing:
-            rows.append(
-                {"a": a, "b": b, "metric": "", "in_words": f"not run: profile {run.profile.name} does not train {' nor '.join(missing)}"}
-            )
+        reason = _why_not(run, a, b, seeds)
+        if reason:
+            rows.append({"a": a, "b": b, "metric": "", "in_words": reason})
             continue
-        if run.profile.variant(a).stage == run.profile.variant(b).stage:
-            taken = [steps(run, variant, seeds[0]) for variant in (a, b)]
-            if taken[0] != taken[1]:
-                rows.append(
-                    {"a": a, "b": b, "metric": "", "in_words": f"not compared: {a} was trained for {taken[0]} steps, {b} for {taken[1]}"}
-                )
-                continue
         frames = [[scores(run, variant, seed) for seed in seeds] for variant in (a, b)]
         shared = frames[0][0].index
         for frame in (*frames[0], *frames[1]):
             shared = shared.intersection(frame.index)
         for metric in metrics:
-            result = compare(*([frame.loc[shared, metric].to_numpy() for frame in method] for method in frames))
-            words = in_words(result, metric)
-            rows.append({"a": a, "b": b, "metric": metric, **result._asdict(), "n": len(shared), "in_words": words})
-    return pd.DataFrame(rows, columns=["a", "b", "metric", *Comparison._fields, "n", "in_words"])
+            values = [[frame.loc[shared, metric].to_numpy() for frame in method] for method in frames]
+            rows.append({"a": a, "b": b, "metric": metric} | comparison_row(*values, lower_is_better=metric in LOWER_IS_BETTER))
+    return pd.DataFrame(rows, columns=COMPARISON)
+
+
+def _why_not(run: Run, a: str, b: str, seeds: Sequence[int]) -> str:
+    """Why two variants cannot be compared; nothing if they can."""
+    missing = [v for v in (a, b) if v not in run.profile.train]
+    if missing:
+        return f"not run: profile {run.profile.name} does not train {' nor '.join(missing)}"
+    steps = [[load_card(run.weights(variant, seed))["steps"] for seed in seeds] for variant in (a, b)]
+    if run.profile.variant(a).stage == run.profile.variant(b).stage and steps[0] != steps[1]:
+        return f"not compared: {a} was trained for {steps[0][0]} steps, {b} for {steps[1][0]}"
+    return ""
+
+
+COMPARISON = ["a", "b", "metric", *Comparison._fields, "n", "in_words"]
+"""Columns of a table of comparisons."""
+
+
+def comparison_row(a: Sequence[np.ndarray], b: Sequence[np.ndarray], *, lower_is_better: bool) -> dict[str, Any]:
+    """Means, difference, intervals and words for per-image values (S, N) of two methods."""
+    images = len(a[0])
+    if images < 2:
+        return {"n": images, "in_words": f"not compared: {images} image"}
+    result = compare(a, b)
+    return {**result._asdict(), "n": images, "in_words": in_words(result, lower_is_better)}
 
 
 LOWER_IS_BETTER = ("abs_rel", "sq_rel", "rmse", "rmse_log")
 
 
-def in_words(result: Comparison, metric: str) -> str:
-    """Whether a is better than b, and what that stands outside of."""
-    better = result.difference < 0 if metric in LOWER_IS_BETTER else result.difference > 0
-    direction = "better" if better else "worse" if result.difference else "the same"
-    images = "outside the interval over images" if result.clear_of_images else "inside the interval over images"
+def in_words(result: Comparison, lower_is_better: bool) -> str:
+    """Whether a is better than b, and whether that could be chance: by the images that happen to be scored, by the seed."""
+    if not result.difference:
+        return "the same"
+    better = (result.difference < 0) == lower_is_better
+    images = "excludes" if result.clear_of_images else "includes"
+    words = f"{'better' if better else 'worse'} by {abs(result.difference):.2g}: the interval over images {images} 0, "
     if result.clear_of_seeds is None:
-        seeds = "one seed, no spread known"
-    else:
-        seeds = f"{'outside' if result.clear_of_seeds else 'inside'} the spread over {result.seeds} seeds"
-    return f"{direction} by {np.abs(result.difference):.3f}: {images}, {seeds}"
+        return words + "one seed"
+    return words + f"that over {result.seeds} seeds {'excludes' if result.clear_of_seeds else 'includes'} 0"
+
+
+def readable(table: pd.DataFrame, columns: Sequence[str], digits: int = 3) -> pd.DataFrame:
+    """The table for the eye: `columns` as "mean ± standard deviation over seeds", or the mean alone; empty where there is none."""
+    shown = table.copy()
+    for column in columns:
+        spread = table.get(f"{column}_std", pd.Series(np.nan, table.index))
+        shown[column] = [
+            "" if pd.isna(mean) else f"{mean:.{digits}f}" + ("" if pd.isna(std) else f" ± {std:.{digits}f}")
+            for mean, std in zip(table[column], spread)
+        ]
+    return shown.drop(columns=[c for c in shown if c.endswith("_std")])
