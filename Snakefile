@@ -9,8 +9,8 @@ SEEDS = [int(s) for s in str(config.get("seeds", "")).split(",") if s] or run_.p
 WORK, RESULTS = f"work/{NAME}", f"results/{NAME}"
 VARIANTS = {stage: [v for v in run_.profile.train if run_.profile.variant(v).stage == stage] for stage in ("lr", "hr")}
 TABLES = ["05_table_main", "07_table_ablation", "08_table_distance", "09_table_sharpness", "11_table_backbone", "13_figures"]
-# trainings side by side do more in the same time than one on all cores
-THREADS = max(1, min(4, workflow.cores // 2))
+# trainings side by side do more in the same time than one after the other on all cores
+THREADS = {stage: max(1, workflow.cores // max(1, len(names) * len(SEEDS))) for stage, names in VARIANTS.items()}
 
 
 def notebook(name):
@@ -95,7 +95,7 @@ rule train_lr:
         notebook=notebook("03_train_lr"),
         settings=lambda wildcards: run_.settings_digest(wildcards.lr),
         code=code_digest("train_lr"),
-    threads: THREADS
+    threads: THREADS["lr"]
     resources:
         gpu=1,
     shell:
@@ -117,7 +117,7 @@ rule train_hr:
         notebook=notebook("04_train_hr"),
         settings=lambda wildcards: run_.settings_digest(wildcards.hr),
         code=code_digest("train_lr", "train_hr"),
-    threads: THREADS
+    threads: THREADS["hr"]
     resources:
         gpu=1,
     shell:
@@ -144,7 +144,7 @@ rule table_main:
     params:
         **SHARED,
         notebook=notebook("05_table_main"),
-    threads: THREADS
+    threads: max(1, workflow.cores // 2)
     resources:
         gpu=1,
     shell:
@@ -163,7 +163,7 @@ rule table_ablation:
     params:
         **SHARED,
         notebook=notebook("07_table_ablation"),
-    threads: THREADS
+    threads: max(1, workflow.cores // 2)
     resources:
         gpu=1,
     shell:
@@ -182,7 +182,7 @@ rule table_distance:
     params:
         **SHARED,
         notebook=notebook("08_table_distance"),
-    threads: THREADS
+    threads: max(1, workflow.cores // 2)
     resources:
         gpu=1,
     shell:
@@ -201,7 +201,7 @@ rule table_sharpness:
     params:
         **SHARED,
         notebook=notebook("09_table_sharpness"),
-    threads: THREADS
+    threads: max(1, workflow.cores // 2)
     resources:
         gpu=1,
     shell:
@@ -237,7 +237,7 @@ rule figures:
     params:
         **SHARED,
         notebook=notebook("13_figures"),
-    threads: THREADS
+    threads: max(1, workflow.cores // 2)
     resources:
         gpu=1,
     shell:

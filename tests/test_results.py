@@ -79,6 +79,10 @@ def test_the_modules_that_shape_a_step_are_where_the_list_says(step):
     assert code_digest(step) == code_digest(step)
 
 
+def test_what_builds_a_network_and_what_draws_a_figure_make_their_steps_stale():
+    assert "building" in CODE["train_lr"] and "figures" in CODE["tables"]
+
+
 def test_the_root_is_found_from_below_and_asked_for_elsewhere(project, tmp_path_factory, monkeypatch):
     monkeypatch.chdir(project / "notebooks")
     assert project_root() == project
@@ -175,3 +179,33 @@ def test_a_notebooks_digest_is_blind_to_its_outputs(project):
 
 def test_a_file_that_is_not_there_has_no_digest(tmp_path):
     assert file_digest(tmp_path / "a") is None
+
+
+def own_run(project, text):
+    path = project / "own.yaml"
+    path.write_text(f"about: x\ndata:\n  source: kitti\n  train_list: eigen_zhou\n{text}")
+    return Run(str(path))
+
+
+def test_a_table_is_made_from_the_weights_that_are_trained_the_scored_frames_and_their_truth(project):
+    run = own_run(project, "train: {lr: , dual: }\n")
+    assert [str(path.relative_to(run.work)) for path in run.scored_with(("lr", "dual_no_sa", "dual"), (0, 2))] == [
+        "runs/lr/seed0/model.safetensors",
+        "runs/lr/seed2/model.safetensors",
+        "runs/dual/seed0/model.safetensors",
+        "runs/dual/seed2/model.safetensors",
+        "prepared/test_frames.json",
+        "prepared/ground_truth.npz",
+    ]
+
+
+def test_tables_are_stale_when_the_variants_or_their_labels_change(project):
+    def digest(text):
+        return own_run(project, text).profile.variants_digest()
+
+    plain = digest("train: {lr: , dual: }\n")
+    assert digest("train: {lr: , dual: }\ntraining: {log_every: 7}\n") == plain
+    assert digest("train: {lr: , dual: , hr_only: }\n") != plain
+    assert digest("train: {lr: , dual: {training.hr.max_steps: 9}}\n") != plain
+    label = "variants: {{dual: {{label: {}, about: x, network: dual, starts_from: lr}}}}\ntrain: {{lr: , dual: }}\n"
+    assert digest(label.format("a")) != digest(label.format("b"))

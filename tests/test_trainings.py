@@ -12,6 +12,7 @@ from accelerate.state import AcceleratorState
 from safetensors.torch import load_file
 from small_kitti import DRIVE, write_calibration, write_drive
 
+from dualdepth.building import make_stage
 from dualdepth.checkpoints import load_card, load_checkpoint
 from dualdepth.data.triplets import drive_triplets
 from dualdepth.errors import InputError
@@ -22,7 +23,7 @@ from dualdepth.networks.pose_net import PoseNet
 from dualdepth.predict import load_depth_net
 from dualdepth.preparation import Sources, write_identity, write_training_index
 from dualdepth.results import Run, file_digest
-from dualdepth.trainings import make_stage, start_weights, train_variant
+from dualdepth.trainings import start_weights, train_variant
 
 OTHER = "2011_09_26/2011_09_26_drive_0002_sync"
 STEPS = 3
@@ -54,7 +55,7 @@ def backbones(tmp_path_factory):
 def run_in(backbones):
     """A run in a folder that looks like a checkout, with changes of its profile."""
 
-    def make(root, encoder=backbones.usual, hr_size=(192, 192), lr=None):
+    def make(root, encoder=backbones.usual, hr_size=(192, 192), lr=None, train=None):
         values = {
             "about": "a test",
             "data": {"source": "kitti", "train_drives": [DRIVE], "hr_size": hr_size},
@@ -63,7 +64,7 @@ def run_in(backbones):
                 "lr": lr or {"batch_size": 1, "max_steps": 2},
                 "hr": {"batch_size": 1, "epochs": 1},
             },
-            "train": {"lr": None, "dual": None, "dual_no_sa": None, "hr_only": ONE_STEP, "one_network": ONE_STEP},
+            "train": {"lr": None, "dual": train, "dual_no_sa": train, "hr_only": ONE_STEP, "one_network": ONE_STEP},
             "variants": {"one_network": {"label": "one", "about": "one network", "network": "single"}},
         }
         (root / "notebooks").mkdir(exist_ok=True)
@@ -175,7 +176,7 @@ def test_the_card_says_which_network_it_is_what_it_saw_and_what_it_started_from(
         "hr_size": [192, 192],
         "pretrained": False,
         "drives": [DRIVE, OTHER],  # stage 1's too
-        "starts_from": {"variant": "lr", "seed": 0, "sha256": file_digest(trained.weights("lr", 0))},
+        "starts_from": {"variant": "lr", "seed": 0, "steps": 2, "sha256": file_digest(trained.weights("lr", 0))},
         "seed": 0,
         "recipe": trained.recipe("dual", 0),
         "steps": STEPS,
@@ -192,6 +193,15 @@ def test_the_card_says_which_network_it_is_what_it_saw_and_what_it_started_from(
     }
     inputs = {"work/own/prepared/triplets.csv", "work/own/runs/lr/seed0/model.safetensors"}
     assert dual["stamp"]["inputs_sha256"] == {name: file_digest(trained.root / name) for name in inputs}
+
+
+@pytest.mark.parametrize("said", [True, False])
+@pytest.mark.parametrize("name", ["dual", "dual_no_sa", "hr_only"])
+def test_whether_imagenets_weights_are_in_it_stands_in_stage_1s_card(after_stage_1, name, said):
+    """The profile says that there are none, and HR-Net by itself never has any."""
+    run = after_stage_1(train=ONE_STEP)
+    change_card(run, pretrained=said)
+    assert load_card(train_variant(run, name, 0))["pretrained"] == (said and name != "hr_only")
 
 
 @pytest.mark.parametrize(("name", "network"), [("lr", "lr"), ("dual", "dual"), ("hr_only", "hr"), ("one_network", "single")])

@@ -96,10 +96,31 @@ def test_clear_of_images_means_that_zero_is_outside_the_interval(low, high, clea
 
 
 @pytest.mark.parametrize(
-    ("difference", "spread", "clear"), [(0.03, 0.02, True), (-0.03, 0.02, True), (0.02, 0.03, False), (-0.02, 0.03, False)]
-)
-def test_clear_of_seeds_means_larger_than_the_spread(difference, spread, clear):
-    assert bool(Comparison(0.1, 0.1, difference, 0.0, 0.0, spread, 3).clear_of_seeds) is clear
+    ("seeds", "quantile"), [(2, 12.706204736), (3, 4.3026527297), (5, 2.7764451052), (31, 2.0422724563)]
+)  # of Student's t at 0.975, from tables
+@pytest.mark.parametrize("sign", [1, -1])
+def test_clear_of_seeds_means_that_zero_is_outside_students_interval(seeds, quantile, sign):
+    limit = quantile * 0.02 / math.sqrt(seeds)
+    for factor, clear in ((1.001, True), (0.999, False)):
+        assert bool(Comparison(0.1, 0.1, sign * factor * limit, 0.0, 0.0, 0.02, seeds).clear_of_seeds) is clear
+
+
+def test_three_seeds_are_clear_from_two_and_a_half_spreads_on():
+    assert not Comparison(0.1, 0.1, 2.47, 0.0, 0.0, 1.0, 3).clear_of_seeds
+    assert Comparison(0.1, 0.1, 2.50, 0.0, 0.0, 1.0, 3).clear_of_seeds
+
+
+def test_students_interval_is_the_one_scipy_makes_of_the_seeds_differences():
+    from scipy.stats import ttest_1samp
+
+    verdicts = set()
+    for shift in (0.0, 0.01, 0.02, 0.03, 0.05):
+        seeds = np.array([[0.01], [0.02], [0.06]]) + shift
+        result = compare(seeds + np.zeros(4), np.zeros((3, 4)))
+        interval = ttest_1samp(seeds[:, 0], 0).confidence_interval(0.95)
+        verdicts.add(bool(result.clear_of_seeds))
+        assert bool(result.clear_of_seeds) == (interval.low > 0 or interval.high < 0)
+    assert verdicts == {True, False}
 
 
 @pytest.mark.parametrize(

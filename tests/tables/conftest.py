@@ -29,10 +29,25 @@ def make_run(tmp_path):
 
 
 @pytest.fixture(autouse=True)
-def steps_of(monkeypatch):
-    """Steps that the cards of trainings say, by variant; 100 where nothing is said."""
-    steps = {}
-    monkeypatch.setattr(rows, "load_card", lambda weights: {"steps": steps.get(weights.parts[-3], 100)})
+def cards(monkeypatch):
+    """What the cards of trainings say, by variant; what is not given there is usual."""
+    given = {}
+    usual = {"encoder": "resnet18", "pretrained": False, "steps": 100, "starts_from": None}
+    monkeypatch.setattr(rows, "load_card", lambda weights: usual | given.get(weights.parts[-3], {}))
+    return given
+
+
+@pytest.fixture(autouse=True)
+def steps_of(cards, monkeypatch):
+    """Steps that the cards of trainings say, by variant or by variant and seed; 100 where nothing is said."""
+    steps, card = {}, rows.load_card
+
+    def counted(weights):
+        variant, seed = weights.parts[-3], int(weights.parts[-2].removeprefix("seed"))
+        said = steps.get((variant, seed), steps.get(variant))
+        return card(weights) | ({} if said is None else {"steps": said})
+
+    monkeypatch.setattr(rows, "load_card", counted)
     return steps
 
 

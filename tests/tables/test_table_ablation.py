@@ -51,16 +51,16 @@ def test_every_claim_of_the_paper_is_judged_with_the_better_one_first(scored, ma
         expected = VALUES.get(row.a, 0.4) - VALUES.get(row.b, 0.4)
         assert row.difference == pytest.approx(expected), (row.a, row.b)
     errors = table[table["metric"] == "abs_rel"].set_index(["a", "b"])["in_words"]
-    assert errors["dual", "lr"].startswith("better by 0.100: outside the interval over images")
-    assert errors["dual", "hr_only"].startswith("better by 0.300")
-    assert errors["dual_no_sa", "lr"].startswith("better by 0.080")
+    assert errors["dual", "lr"] == "better by 0.1: the interval over images excludes 0, that over 2 seeds excludes 0"
+    assert errors["dual", "hr_only"].startswith("better by 0.3:")
+    assert errors["dual_no_sa", "lr"].startswith("better by 0.08:")
 
 
 def test_a_claim_that_fails_is_said_to_fail(make_scores, give, make_run):
     give(lambda run, variant, seed: make_scores(0.35 if variant == "dual" else 0.3))
     table = ablation_claims(make_run(), [0]).query("metric == 'abs_rel'").set_index(["a", "b"])
-    assert table.loc[("dual", "lr"), "in_words"].startswith("worse by 0.050: outside the interval over images, one seed")
-    assert table.loc[("dual_no_sa", "lr"), "in_words"].startswith("the same")
+    assert table.loc[("dual", "lr"), "in_words"] == "worse by 0.05: the interval over images excludes 0, one seed"
+    assert table.loc[("dual_no_sa", "lr"), "in_words"] == "the same"
 
 
 def test_claims_about_networks_that_are_not_trained_stay_with_the_reason(scored, make_run):
@@ -76,5 +76,5 @@ def test_a_claim_is_not_judged_by_a_training_that_was_cut_short(scored, make_run
     table = ablation_claims(make_run(), [0])
     words = dict(zip(zip(table["a"], table["b"]), table["in_words"]))
     assert words["dual", "hr_only"] == "not compared: dual was trained for 100 steps, hr_only for 5"
-    assert table.query("b == 'hr_only'")["claim"].tolist() == ["HR-Net cannot work by itself"]
+    assert table.query("b == 'hr_only'")["claim"].tolist() == ["HR-Net is worse without LR-Net's features"]
     assert table.query("b != 'hr_only'")["difference"].notna().all()

@@ -10,7 +10,8 @@ from dualdepth import paper
 from dualdepth.evaluation.cost import Latency
 from dualdepth.networks.architecture import Architecture
 from dualdepth.tables import backbone
-from dualdepth.tables.backbone import NETWORKS, backbone_table, cost_row
+from dualdepth.tables.backbone import CLAIMS, NETWORKS, backbone_claims, backbone_table, cost_row
+from dualdepth.tables.rows import COMPARISON
 
 WITHOUT = "Dual-network (ResNet50), without LR-Net's decoder"
 TEXT = "about: x\ndata:\n  source: kitti\n  train_list: eigen_zhou\ntraining: {{pretrained: {}}}\n"
@@ -57,6 +58,25 @@ def counted_by_hand(modules, run):
     for handle in handles:
         handle.remove()
     return sum(p.numel() for module in modules for p in module.parameters()), macs
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_time_is_measured_of_the_network_that_the_row_names(name, latencies, monkeypatch):
+    given, measured = [], backbone.latency
+
+    def latency(model, image, **settings):
+        given.append({key for key, _ in model.named_parameters()})
+        return measured(model, image, **settings)
+
+    monkeypatch.setattr(backbone, "latency", latency)
+    cost_row(name, 1)
+    both, one = given
+    assert both == one and any("encoder" in key for key in both)
+    if NETWORKS[name][0].network == "dual":
+        assert any("lr_net.encoder." in key for key in both) and any("hr_net." in key for key in both)
+        assert any("lr_net.decoder." in key for key in both) == (name != WITHOUT)
+    else:
+        assert any("decoder." in key for key in both)
 
 
 def by_hand(name):
@@ -109,14 +129,16 @@ def test_each_network_has_its_cost_and_the_metrics_of_its_training(scored, cheap
         assert row["variant"] == variant and row["params_m"] == 9 and row["gmacs"] == 2
         assert row["abs_rel"] == pytest.approx(VALUES[variant] + 0.01)
         assert row["abs_rel_std"] == pytest.approx(0.02 / 2**0.5)
-        assert row["note"].startswith("cost with a new network at the paper's size; metrics: resnet18, ") or variant == "mobilenet_v2"
+        assert row["note"].startswith(f"cost of a new network at the paper's size; metrics of variant {variant}: resnet18, ")
 
 
 def test_a_network_that_is_not_trained_still_has_its_cost(scored, cheap, make_run):
     measured = backbone_table(make_run("own", text=TEXT.format("false")), [0]).query("source == 'measured'").set_index("backbone")
     row = measured.loc["MobileNet V2"]
     assert row["gmacs"] == 2 and row["abs_rel"] != row["abs_rel"]
-    assert row["note"] == "cost with a new network at the paper's size; metrics: not run: profile own does not train it"
+    assert (
+        row["note"] == "cost of a new network at the paper's size; metrics of variant mobilenet_v2: not run: profile own does not train it"
+    )
 
 
 def test_without_imagenet_weights_their_row_says_not_run(scored, cheap, make_run):
@@ -128,9 +150,41 @@ def test_without_imagenet_weights_their_row_says_not_run(scored, cheap, make_run
     assert "no ImageNet weights" in measured.loc["w/o pt", "note"]
 
 
-def test_with_imagenet_weights_both_rows_have_their_training(scored, cheap, make_run):
+def test_with_imagenet_weights_both_rows_have_their_training(scored, cheap, make_run, cards):
+    cards["dual"] = {"pretrained": True}
     text = TEXT.format("true") + "train: {lr: , lr_scratch: , dual: , dual_scratch: }\n"
     measured = backbone_table(make_run("own", text=text), [0]).query("source == 'measured'").set_index("backbone")
     assert measured.loc["w/ pt", "abs_rel"] == pytest.approx(0.2) and measured.loc["w/ pt", "variant"] == "dual"
     assert measured.loc["w/o pt", "abs_rel"] == pytest.approx(0.25) and measured.loc["w/o pt", "variant"] == "dual_scratch"
     assert "no ImageNet" not in measured.loc["w/ pt", "note"] and "no ImageNet" in measured.loc["w/o pt", "note"]
+
+
+ALL = "train: {lr: , lr_scratch: , dual: , dual_scratch: , resnet18: , mobilenet_v2: }\n"
+
+
+def test_the_claims_about_backbones_are_judged_with_the_better_one_first(scored, make_run):
+    table = backbone_claims(make_run("own", text=TEXT.format("true") + ALL), [0, 1])
+    assert list(table.columns) == ["claim", *COMPARISON]
+    assert {(row.a, row.b): row.claim for row in table.itertuples()} == CLAIMS
+    assert set(CLAIMS) == {("dual", "resnet18"), ("dual", "mobilenet_v2"), ("dual", "dual_scratch")}
+    errors = table.query("metric == 'abs_rel'").set_index("b")
+    for other in ("resnet18", "mobilenet_v2", "dual_scratch"):
+        assert errors.loc[other, "difference"] == pytest.approx(0.2 - VALUES[other])
+    assert errors.loc["resnet18", "in_words"] == "better by 0.2: the interval over images excludes 0, that over 2 seeds excludes 0"
+
+
+def test_without_imagenet_weights_their_claim_is_not_run_even_if_both_are_trained(scored, make_run):
+    table = backbone_claims(make_run("own", text=TEXT.format("false") + ALL), [0])
+    assert list(table.columns) == ["claim", *COMPARISON]
+    last = table.iloc[-1]
+    assert last["claim"] == CLAIMS["dual", "dual_scratch"] and last["metric"] == ""
+    assert last["in_words"] == "not run: no ImageNet weights in this profile"
+    assert table["b"].tolist() == ["resnet18", "resnet18", "mobilenet_v2", "mobilenet_v2", "dual_scratch"]
+    assert table["difference"].notna().tolist() == [True, True, True, True, False]
+
+
+def test_claims_about_backbones_that_are_not_trained_say_so(scored, make_run):
+    table = backbone_claims(make_run("own", text=TEXT.format("true")), [0]).set_index("b")
+    assert table.loc["resnet18", "in_words"] == "not run: profile own does not train resnet18"
+    assert table.loc["dual_scratch", "in_words"] == "not run: profile own does not train dual_scratch"
+    assert len(table) == 3 and table["difference"].isna().all()

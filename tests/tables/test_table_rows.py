@@ -1,5 +1,6 @@
 """What all tables share: means over seeds, rows that say why they are empty, and honest comparisons."""
 
+import json
 import math
 
 import numpy as np
@@ -11,7 +12,17 @@ from dualdepth.checkpoints import load_card
 from dualdepth.evaluation.depth import METRICS
 from dualdepth.evaluation.statistics import Comparison
 from dualdepth.tables import rows
-from dualdepth.tables.rows import compare_trainings, in_words, mean_row, training_note, training_row, with_paper
+from dualdepth.tables.rows import (
+    COMPARISON,
+    compare_trainings,
+    comparison_row,
+    in_words,
+    mean_row,
+    readable,
+    training_note,
+    training_row,
+    with_paper,
+)
 
 KITTI = "about: x\ndata:\n  source: kitti\n  train_list: eigen_zhou\n"
 
@@ -32,6 +43,13 @@ def test_a_row_of_one_seed_has_no_spread():
     assert row["abs_rel"] == pytest.approx(0.2) and math.isnan(row["abs_rel_std"])
 
 
+def test_a_row_without_images_has_no_numbers():
+    row = mean_row([frame([])], ["abs_rel"])
+    assert math.isnan(row["abs_rel"]) and math.isnan(row["abs_rel_std"]) and row["n"] == 0
+    row = mean_row([frame([0.1, 0.3]), frame([])], ["abs_rel"])
+    assert math.isnan(row["abs_rel"]) and row["n"] == 0
+
+
 def test_all_seven_metrics_are_in_a_trainings_row(make_run, make_scores):
     asked = []
 
@@ -43,7 +61,7 @@ def test_all_seven_metrics_are_in_a_trainings_row(make_run, make_scores):
     assert asked == [("dual", 0), ("dual", 2)]
     assert row["variant"] == "dual" and row["source"] == "measured"
     assert row["seeds"] == "0 2" and row["n"] == 6
-    assert row["note"].endswith("last epoch, 100 steps")
+    assert row["note"] == "resnet18, 192x576, no ImageNet weights, 100 steps, last epoch"
     for metric in METRICS:
         assert row[metric] == pytest.approx(0.3)
         assert row[f"{metric}_std"] == pytest.approx(0.1 * math.sqrt(2))
@@ -61,20 +79,33 @@ def test_a_variant_that_is_not_trained_says_so_and_has_no_numbers(make_run):
 @pytest.mark.parametrize(
     ("variant", "note"),
     [
-        ("lr", "resnet50, 128x416, ImageNet weights, last epoch"),
-        ("lr_scratch", "resnet50, 128x416, no ImageNet weights, last epoch"),
-        ("dual", "resnet50, 384x1248, ImageNet weights, last epoch"),
-        ("mobilenet_v2", "mobilenet_v2, 384x1248, ImageNet weights, last epoch"),
-        ("hr_only", "384x1248, no ImageNet weights, last epoch"),
+        ("lr", "resnet34, 128x416, ImageNet weights, 156 steps, last epoch"),
+        ("lr_scratch", "resnet34, 128x416, no ImageNet weights, 157 steps, last epoch"),
+        ("dual", "resnet34, 384x1248, ImageNet weights, 52 steps after 156 of stage 1, last epoch"),
+        ("mobilenet_v2", "mobilenet_v2, 384x1248, ImageNet weights, 50 steps, last epoch"),
+        ("hr_only", "384x1248, no ImageNet weights, 51 steps after 156 of stage 1, last epoch"),
     ],
 )
-def test_the_note_says_backbone_size_and_first_weights(make_run, variant, note):
-    assert training_note(make_run("own", text=KITTI), variant) == note
+def test_the_note_says_backbone_size_first_weights_and_steps_as_the_card_has_them(make_run, monkeypatch, variant, note):
+    monkeypatch.setattr(rows, "load_card", load_card)
+    run = make_run("own", text=KITTI)  # which says other things: resnet50 with ImageNet weights
+    start = {"variant": "lr", "seed": 2, "steps": 156}
+    cards = {
+        "lr": {"encoder": "resnet34", "pretrained": True, "steps": 156, "starts_from": None},
+        "lr_scratch": {"encoder": "resnet34", "pretrained": False, "steps": 157, "starts_from": None},
+        "dual": {"encoder": "resnet34", "pretrained": True, "steps": 52, "starts_from": start},
+        "mobilenet_v2": {"encoder": "mobilenet_v2", "pretrained": True, "steps": 50, "starts_from": None},
+        "hr_only": {"encoder": "resnet34", "pretrained": False, "steps": 51, "starts_from": start},
+    }
+    card = run.training(variant, 2) / "model.json"
+    card.parent.mkdir(parents=True)
+    card.write_text(json.dumps(cards[variant]))
+    assert training_note(run, variant, 2) == note
 
 
 def test_the_note_says_that_the_list_is_incomplete(make_run):
     run = make_run("own", text=KITTI, frames=25, listed=697)
-    assert training_note(run, "lr").endswith("last epoch, 25 of 697 frames")
+    assert training_note(run, "lr", 0).endswith("last epoch, 25 of 697 frames")
 
 
 @pytest.mark.parametrize("name", ["main", "ablation", "distance", "sharpness", "backbone"])
@@ -100,7 +131,7 @@ def test_a_comparison_is_paired_by_image_and_seed(make_run):
     assert row["mean_a"] == pytest.approx(a.mean()) and row["mean_b"] == pytest.approx(b.mean())
     np.testing.assert_allclose(row[["difference", "low", "high"]].astype(float), 0.03)  # each image gains the same
     assert row["spread"] == pytest.approx(np.std([0.01, 0.02, 0.06], ddof=1))
-    assert row["in_words"] == "worse by 0.030: outside the interval over images, outside the spread over 3 seeds"
+    assert row["in_words"] == "worse by 0.03: the interval over images excludes 0, that over 3 seeds includes 0"
 
 
 def test_only_images_that_both_have_are_compared(make_run):
@@ -146,44 +177,109 @@ def test_trainings_of_two_stages_are_compared_whatever_their_length(make_run, ma
     assert table["difference"].notna().tolist() == [True, True]
 
 
-def test_the_number_of_steps_is_read_from_the_trainings_card(make_run, monkeypatch):
-    monkeypatch.setattr(rows, "load_card", load_card)
-    run = make_run()
-    card = run.training("dual", 2) / "model.json"
-    card.parent.mkdir(parents=True)
-    card.write_text('{"steps": 396}')
-    assert rows.steps(run, "dual", 2) == 396
+def test_the_steps_of_every_seed_count(make_run, make_scores, steps_of):
+    steps_of["dual_no_sa", 1] = 5
+    pair = [("dual", "dual_no_sa")]
+
+    def compared(seeds):
+        return compare_trainings(make_run(), pair, seeds, scores=lambda run, variant, seed: make_scores(0.2))
+
+    words = compared([0, 1, 2])["in_words"]
+    assert len(words) == 1 and words[0].startswith("not compared: dual was trained for 100 steps, dual_no_sa for ")
+    assert compared([0, 2])["difference"].notna().all()
+
+
+def test_a_table_of_comparisons_has_its_columns_whether_or_not_there_is_anything_to_compare(make_run, make_scores):
+    run = make_run("own", text=KITTI + "train: {lr: , dual: }\n")
+    for pairs in ([("dual", "lr")], [("dual", "dual_no_sa")], []):
+        table = compare_trainings(run, pairs, [0], scores=lambda run, variant, seed: make_scores(0.2))
+        assert list(table.columns) == COMPARISON
+    expected = ["a", "b", "metric", "mean_a", "mean_b", "difference", "low", "high", "spread", "seeds", "n", "in_words"]
+    assert expected == COMPARISON
+
+
+@pytest.mark.parametrize(("images", "words"), [(1, "not compared: 1 image"), (0, "not compared: 0 image")])
+def test_fewer_than_two_images_are_not_compared(images, words):
+    values = [np.full(images, 0.2)] * 3
+    row = comparison_row(values, values, lower_is_better=True)
+    assert row["n"] == images and row["in_words"].startswith(words)
+    assert set(row) == {"n", "in_words"}
+
+
+def test_two_images_are_compared():
+    row = comparison_row([np.array([0.1, 0.3])], [np.array([0.3, 0.7])], lower_is_better=False)
+    assert row["n"] == 2 and row["difference"] == pytest.approx(-0.3) and row["in_words"].startswith("worse by 0.3:")
 
 
 def comparison(difference, low, high, spread=math.nan, seeds=1):
     return Comparison(0.0, 0.0, difference, low, high, spread, seeds)
 
 
-@pytest.mark.parametrize("metric", ["abs_rel", "sq_rel", "rmse", "rmse_log"])
-def test_less_error_is_better(metric):
-    assert in_words(comparison(-0.02, -0.03, -0.01), metric).startswith("better by 0.020:")
-    assert in_words(comparison(0.02, 0.01, 0.03), metric).startswith("worse by 0.020:")
+def test_less_error_is_better():
+    assert in_words(comparison(-0.02, -0.03, -0.01), True).startswith("better by 0.02:")
+    assert in_words(comparison(0.02, 0.01, 0.03), True).startswith("worse by 0.02:")
 
 
-@pytest.mark.parametrize("metric", ["a1", "a2", "a3", "f1", "lateral_f1"])
-def test_more_of_a_share_or_score_is_better(metric):
-    assert in_words(comparison(0.02, 0.01, 0.03), metric).startswith("better by 0.020:")
-    assert in_words(comparison(-0.02, -0.03, -0.01), metric).startswith("worse by 0.020:")
+def test_more_of_a_share_or_score_is_better():
+    assert in_words(comparison(0.02, 0.01, 0.03), False).startswith("better by 0.02:")
+    assert in_words(comparison(-0.02, -0.03, -0.01), False).startswith("worse by 0.02:")
 
 
-def test_words_say_what_a_difference_stands_outside_of():
-    assert in_words(comparison(-0.02, -0.03, 0.01, 0.01, 3), "abs_rel") == (
-        "better by 0.020: inside the interval over images, outside the spread over 3 seeds"
+@pytest.mark.parametrize(
+    ("metric", "verdict"),
+    [
+        *((m, "better") for m in ("abs_rel", "sq_rel", "rmse", "rmse_log")),
+        *((m, "worse") for m in ("a1", "a2", "a3", "f1", "lateral_f1")),
+    ],
+)
+def test_the_metric_says_which_way_is_better(make_run, metric, verdict):
+    def scores(run, variant, seed):
+        return frame(np.array([0.1, 0.2, 0.3]) + 0.05 * (variant == "lr"), column=metric)
+
+    row = compare_trainings(make_run(), [("dual", "lr")], [0], metrics=[metric], scores=scores).loc[0]
+    assert row["in_words"] == f"{verdict} by 0.05: the interval over images excludes 0, one seed"
+
+
+def test_words_say_which_interval_excludes_zero():
+    assert in_words(comparison(-0.068, -0.08, -0.01, 0.03, 3), True) == (
+        "better by 0.068: the interval over images excludes 0, that over 3 seeds includes 0"
     )
-    assert in_words(comparison(-0.02, -0.03, -0.01, 0.05, 2), "abs_rel") == (
-        "better by 0.020: outside the interval over images, inside the spread over 2 seeds"
+    assert in_words(comparison(-0.068, -0.08, 0.01, 0.02, 3), True) == (
+        "better by 0.068: the interval over images includes 0, that over 3 seeds excludes 0"
     )
 
 
 def test_words_of_one_seed_claim_no_spread():
-    words = in_words(comparison(-0.02, -0.03, -0.01), "abs_rel")
-    assert words == "better by 0.020: outside the interval over images, one seed, no spread known"
+    assert in_words(comparison(-0.02, -0.03, -0.01), True) == "better by 0.02: the interval over images excludes 0, one seed"
 
 
-def test_no_difference_is_neither_better_nor_worse():
-    assert in_words(comparison(0.0, 0.0, 0.0), "a1") == "the same by 0.000: inside the interval over images, one seed, no spread known"
+@pytest.mark.parametrize("lower_is_better", [True, False])
+def test_no_difference_is_neither_better_nor_worse(lower_is_better):
+    assert in_words(comparison(0.0, 0.0, 0.0, 0.0, 3), lower_is_better) == "the same"
+
+
+def test_a_readable_table_has_means_with_their_spread_over_seeds_or_alone_or_nothing():
+    table = pd.DataFrame(
+        {
+            "method": ["ours", "one seed", "not run"],
+            "abs_rel": [0.20449, 0.5, np.nan],
+            "abs_rel_std": [0.0061, np.nan, np.nan],
+            "a1": [0.9, 0.80004, np.nan],
+            "a1_std": [0.01, 0.02, np.nan],
+            "n": [8, 8, 0],
+        }
+    )
+    before = table.copy()
+    shown = readable(table, ["abs_rel"])
+    assert shown["abs_rel"].tolist() == ["0.204 ± 0.006", "0.500", ""]
+    assert list(shown.columns) == ["method", "abs_rel", "a1", "n"]
+    assert shown["a1"].tolist()[:2] == [0.9, 0.80004]  # not asked for
+    shown = readable(table, ["abs_rel", "a1"], 1)
+    assert shown["abs_rel"].tolist() == ["0.2 ± 0.0", "0.5", ""]
+    assert shown["a1"].tolist() == ["0.9 ± 0.0", "0.8 ± 0.0", ""]
+    pd.testing.assert_frame_equal(table, before)
+
+
+def test_a_column_that_has_no_spread_is_readable_too():
+    table = pd.DataFrame({"ratio": [1.25, np.nan]}, index=[7, 3])
+    assert readable(table, ["ratio"], 2)["ratio"].tolist() == ["1.25", ""]

@@ -11,7 +11,8 @@ from dualdepth.evaluation.objects import POLE
 from dualdepth.evaluation.sharpness import boundary_scores, tenengrad
 from dualdepth.scoring import Predictions
 from dualdepth.tables import sharpness
-from dualdepth.tables.sharpness import THRESHOLDS, detail_claims, detail_table, sharpness_table
+from dualdepth.tables.rows import COMPARISON
+from dualdepth.tables.sharpness import NO_DENSE_TRUTH, THRESHOLDS, detail_claims, detail_table, sharpness_table
 
 TEXT = """
 about: x
@@ -111,26 +112,26 @@ def planted(monkeypatch, values):
     monkeypatch.setattr(sharpness, "tenengrad", given)
 
 
-def marks(table):
-    """What is marked, by (map, size, threshold, method)."""
-    marked = table[table["closest"] != ""]
-    return dict(zip(zip(*(marked[c] for c in ("map", "size", "threshold", "method"))), marked["closest"]))
+def marked(table):
+    """What is marked as closest: (map, size, threshold, method) of each row."""
+    assert table["closest"].dtype == bool
+    rows = table[table["closest"]]
+    return list(zip(*(rows[c] for c in ("map", "size", "threshold", "method"))))
 
 
-def test_the_reading_nearest_by_ratio_and_the_one_nearest_by_numbers_are_marked(run, monkeypatch):
-    by_ratio, by_numbers = ("depth, m", "common", 5), ("inverse depth / its mean", "native", 0.25)
-    both_numbers_near = (20784.4 * 1.1, 106987.2 * 0.9)
-    one_number_exact = {("depth, m", "native", 0): (20784.4, 900.0), ("depth, m", "native", 2): (900.0, 106987.2)}
-    planted(monkeypatch, {by_ratio: (10.0, 10.0 * PAPER_RATIO), by_numbers: both_numbers_near, **one_number_exact})
-    expected = {(*by_ratio, m): "ratio" for m in ("w/o HR-Net", "w/ HR-Net")}
-    expected |= {(*by_numbers, m): "numbers" for m in ("w/o HR-Net", "w/ HR-Net")}
-    assert marks(sharpness_table(run, [0])) == expected
+def test_the_one_row_whose_ratio_is_nearest_to_the_papers_is_marked(run, monkeypatch):
+    near, exact_numbers = ("depth, m", "common", 5), ("inverse depth / its mean", "native", 0.25)
+    others = {("depth, m", "native", 0): (10.0, 10.0 * PAPER_RATIO * 1.3), ("depth, m", "native", 2): (10.0, 10.0 * PAPER_RATIO / 1.3)}
+    planted(monkeypatch, {near: (10.0, 10.0 * PAPER_RATIO * 1.1), exact_numbers: (20784.4, 106987.2 * 1.2), **others})
+    assert marked(sharpness_table(run, [0])) == [(*near, "w/ HR-Net")]
 
 
-def test_a_reading_that_is_nearest_in_both_ways_has_both_marks(run, monkeypatch):
-    place = ("inverse depth / its mean", "common", 2)
-    planted(monkeypatch, {place: (20784.4, 106987.2)})
-    assert marks(sharpness_table(run, [0])) == {(*place, m): "ratio, numbers" for m in ("w/o HR-Net", "w/ HR-Net")}
+def test_nearness_is_by_factor(run, monkeypatch):
+    half, more = ("depth, m", "common", 5), ("depth, m", "native", 0)
+    base = {(m, s, t): (1.0, 100.0) for m, ts in THRESHOLDS.items() for s in ("native", "common") for t in ts}
+    # 0.55 is 0.45 off and 1.6 is 0.6 off, but 1.6 is the smaller factor
+    planted(monkeypatch, base | {half: (1.0, PAPER_RATIO * 0.55), more: (1.0, PAPER_RATIO * 1.6)})
+    assert marked(sharpness_table(run, [0])) == [(*more, "w/ HR-Net")]
 
 
 def test_a_threshold_that_nothing_passes_has_no_ratio_and_is_never_nearest(run, monkeypatch):
@@ -139,7 +140,26 @@ def test_a_threshold_that_nothing_passes_has_no_ratio_and_is_never_nearest(run, 
     planted(monkeypatch, nothing | {place: (2.0, 3.0)})
     table = sharpness_table(run, [0])
     assert table.query("source == 'measured'")["ratio"].notna().sum() == 1
-    assert set(marks(table).values()) == {"ratio, numbers"} and {key[:3] for key in marks(table)} == {place}
+    assert marked(table) == [(*place, "w/ HR-Net")]
+    planted(monkeypatch, nothing)
+    assert marked(sharpness_table(run, [0])) == []
+
+
+def test_numbers_and_ratios_have_their_spread_over_seeds(run, monkeypatch):
+    values = {("lr", 0): 10.0, ("lr", 1): 20.0, ("dual", 0): 40.0, ("dual", 1): 60.0}
+    monkeypatch.setattr(
+        sharpness, "_maps", lambda run, variant, seed: ((k, s, (variant, seed)) for k in THRESHOLDS for s in sharpness.SIZES)
+    )
+    monkeypatch.setattr(sharpness, "tenengrad", lambda key, thresholds: np.full(len(thresholds), values[key]))
+    measured = sharpness_table(run, [0, 1]).query("source == 'measured'")
+    for method, mean, std in (("w/o HR-Net", 15, 10 / 2**0.5), ("w/ HR-Net", 50, 20 / 2**0.5)):
+        rows = measured[measured["method"] == method]
+        np.testing.assert_allclose(rows["tenengrad"], mean)
+        np.testing.assert_allclose(rows["tenengrad_std"], std)
+    rows = measured[measured["method"] == "w/ HR-Net"]
+    np.testing.assert_allclose(rows["ratio"], (4 + 3) / 2)  # the mean of the seeds' ratios
+    np.testing.assert_allclose(rows["ratio_std"], 1 / 2**0.5)
+    assert measured["seeds"].eq("0 1").all()
 
 
 def test_two_networks_are_needed(make_run, check_paper_rows):
@@ -148,6 +168,18 @@ def test_two_networks_are_needed(make_run, check_paper_rows):
     measured = table.query("source == 'measured'")
     assert measured["method"].tolist() == ["w/o HR-Net", "w/ HR-Net"] and measured["tenengrad"].isna().all()
     assert measured["note"].eq("not run: profile own does not train dual").all()
+    assert not table["closest"].any()
+
+
+def test_the_columns_are_the_same_whatever_is_trained(run, make_run):
+    full = sharpness_table(run, [0])
+    assert full["tenengrad_std"].isna().all() and full["ratio_std"].isna().all()  # one seed
+    bare = sharpness_table(make_run("other", text=KITTI + "train: {lr: }\n"), [0])
+    assert set(bare.columns) == set(full.columns)
+    assert set(full.columns) == {
+        *("method", "tenengrad", "source", "note", "map", "size", "threshold"),
+        *("tenengrad_std", "ratio", "ratio_std", "closest", "n", "seeds"),
+    }
 
 
 def test_exact_maps_beat_blurred_ones_at_boundaries_and_on_poles(run):
@@ -158,7 +190,7 @@ def test_exact_maps_beat_blurred_ones_at_boundaries_and_on_poles(run):
         assert blurred[column] < 0.9, column
     assert exact["pole_abs_rel"] == pytest.approx(0, abs=1e-6) and blurred["pole_abs_rel"] > 0.1
     assert exact["pole_n"] == 2 and exact["n"] == 2
-    assert table["method"].tolist() == ["LR-Net", "LR-Net + HR-Net, w/o SA", "LR-Net + HR-Net, w/ SA"]
+    assert table["method"].tolist()[:3] == ["LR-Net", "LR-Net + HR-Net, w/o SA", "LR-Net + HR-Net, w/ SA"]
 
 
 def test_boundaries_are_scored_with_the_sky_at_the_farthest_depth(run):
@@ -189,9 +221,45 @@ def test_real_frames_have_no_exact_depth_and_the_table_says_so(run, make_run):
     own = make_run("kitti", text=KITTI)
     table = detail_table(own, [0])
     assert table["method"].tolist() == ["LR-Net", "LR-Net + HR-Net, w/o SA", "LR-Net + HR-Net, w/ SA"]
-    assert table["note"].eq("not run: needs exact dense depth, which the laser does not give").all()
+    assert table["note"].eq(NO_DENSE_TRUTH).all()
     assert set(table["source"]) == {"measured"} and not table.select_dtypes("number").notna().any(axis=None)
-    assert detail_claims(own, [0]).empty
+    assert list(table.columns) == list(detail_table(run, [0]).columns)
+
+
+def test_real_frames_have_no_claims_about_details_but_the_reason(run, make_run):
+    claims = detail_claims(make_run("kitti", text=KITTI), [0])
+    assert list(zip(claims["a"], claims["b"])) == [("dual", "lr"), ("dual_no_sa", "lr"), ("dual", "dual_no_sa")]
+    assert claims["in_words"].eq(NO_DENSE_TRUTH).all() and claims["metric"].eq("").all()
+    assert list(claims.columns) == ["of", *COMPARISON]
+
+
+def test_exact_depth_at_each_size_is_what_that_size_could_reach(run):
+    table = detail_table(run, [0, 1]).set_index("method")
+    assert list(table.index[3:]) == ["exact depth at 64x64", "exact depth at 192x192"]
+    own, shrunk = table.loc["exact depth at 192x192"], table.loc["exact depth at 64x64"]
+    expected = []
+    for depth, _ in SCENES:
+        exact = np.where(depth > 0, depth, 80)
+        small = exact.shape[0] // 3  # means of inverse depth over 3x3 pixels
+        inverse = (1 / exact).reshape(small, 3, small, 3).mean(axis=(1, 3))
+        expected.append(boundary_scores(resized(1 / inverse, exact.shape), exact))
+    for column in ("f1", "lateral_precision", "lateral_recall", "lateral_f1"):
+        assert own[f"boundary_{column}"] == pytest.approx(1)
+        assert shrunk[f"boundary_{column}"] == pytest.approx(np.mean([e[column] for e in expected]), rel=1e-6)
+        assert shrunk[f"boundary_{column}"] < 0.95
+    for row in (own, shrunk):
+        assert row["n"] == 2 and row["source"] == "measured" and row["note"].startswith("no network: exact depth shrunk")
+        assert np.isnan(row["pole_abs_rel"])
+
+
+def test_a_training_is_scored_once_at_boundaries_and_on_poles(run, monkeypatch):
+    asked = []
+
+    predictions = sharpness.Predictions
+    monkeypatch.setattr(sharpness, "Predictions", lambda run, variant, seed: asked.append(variant) or predictions(run, variant, seed))
+    detail_table(run, [0])
+    detail_claims(run, [0])
+    assert sorted(asked) == sorted(2 * ["lr", "dual", "dual_no_sa"])  # once for boundaries, once for poles
 
 
 def test_details_are_compared_in_pairs(run):
@@ -202,3 +270,4 @@ def test_details_are_compared_in_pairs(run):
     assert poles["difference"] < -0.1 and poles["in_words"].startswith("better by")
     assert claims.loc[("boundaries", "dual", "dual_no_sa", "f1"), "in_words"].startswith("the same")
     assert len(claims) == 2 * 3 * 2
+    assert list(detail_claims(run, [0]).columns) == ["of", *COMPARISON]

@@ -1,0 +1,135 @@
+"""What is kept of a run: no results of code that was not committed, no real frames, and the notebooks as they are by default."""
+
+import json
+
+import nbformat
+import pytest
+
+from dualdepth.errors import InputError
+from dualdepth.publish import publish_notebooks, publish_results
+from dualdepth.results import Run
+
+KITTI = "about: x\ndata:\n  source: kitti\n  train_list: eigen_zhou\n"
+
+
+@pytest.fixture
+def project(tmp_path, monkeypatch):
+    """A folder that looks like a checkout."""
+    (tmp_path / "notebooks").mkdir()
+    (tmp_path / "Snakefile").touch()
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def results_of(project):
+    """Makes results of a profile: a table and a figure with their stamps, and an executed notebook."""
+
+    def make(profile, dirty=()):
+        run = Run(profile)
+        for file in ("tables/main.csv", "tables/ablation.csv", "figures/overview.png", "notebooks/05.ipynb"):
+            path = run.results / file
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(f"of {file}")
+            if path.suffix != ".ipynb":
+                path.with_suffix(".json").write_text(json.dumps({"dirty": path.stem in dirty}))
+        return run
+
+    return make
+
+
+def published(project, profile="tiny"):
+    folder = project / "results" / "published" / profile
+    return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+
+
+TABLES = {"tables/main.csv", "tables/main.json", "tables/ablation.csv", "tables/ablation.json"}
+FIGURES = {"figures/overview.png", "figures/overview.json"}
+
+
+def test_tables_and_figures_of_a_made_world_are_kept_with_their_stamps(project, results_of, capsys):
+    results_of("tiny")
+    assert publish_results("tiny") == 6
+    assert published(project) == TABLES | FIGURES
+    assert (project / "results/published/tiny/tables/main.csv").read_text() == "of tables/main.csv"
+    assert capsys.readouterr().out == "results/published/tiny: 6 files\n"
+
+
+def test_pictures_of_real_frames_stay_out(project, results_of):
+    (project / "own.yaml").write_text(KITTI)
+    results_of(str(project / "own.yaml"))
+    assert publish_results(str(project / "own.yaml")) == 4
+    assert published(project, "own") == TABLES
+
+
+def test_what_was_published_before_goes(project, results_of):
+    results_of("tiny")
+    old = project / "results/published/tiny/tables/old.csv"
+    old.parent.mkdir(parents=True)
+    old.touch()
+    publish_results("tiny")
+    assert not old.exists() and published(project) == TABLES | FIGURES
+
+
+@pytest.mark.parametrize("dirty", [("main",), ("overview",), ("ablation", "overview")])
+def test_results_of_code_that_was_not_committed_are_refused_by_name(project, results_of, dirty):
+    results_of("tiny")
+    publish_results("tiny")
+    (project / "results/published/tiny/tables/main.csv").write_text("kept")
+    results_of("tiny", dirty)
+    with pytest.raises(InputError, match="were made by code that was not committed; commit it and run again") as error:
+        publish_results("tiny")
+    named = {name for name in ("main", "ablation", "overview") if f"{name}.json" in str(error.value)}
+    assert named == set(dirty) and "\n" not in str(error.value)
+    assert (project / "results/published/tiny/tables/main.csv").read_text() == "kept"
+
+
+def test_without_results_there_is_nothing_to_keep(project):
+    with pytest.raises(InputError, match=r"results/tiny/tables is missing: run notebook 05_table_main with profile tiny first"):
+        publish_results("tiny")
+
+
+KERNEL = {"kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"}}
+
+
+def write_notebook(path, output=None, parameters=None):
+    """A notebook; an executed one has an output and the parameters that papermill was given."""
+    cells = [
+        nbformat.v4.new_markdown_cell("# A table"),
+        nbformat.v4.new_code_cell('profile = "tiny"  # or another\nseed = 0', metadata={"tags": ["parameters"]}),
+        nbformat.v4.new_code_cell("print(seed)"),
+    ]
+    metadata = dict(KERNEL)
+    if output:
+        injected = nbformat.v4.new_code_cell("seed = 0", metadata={"tags": ["injected-parameters"]})
+        cells.insert(2, injected)
+        cells[-1].outputs = [nbformat.v4.new_output("stream", text=output)]
+        cells[-1].execution_count = 9
+        cells[-1].metadata["papermill"] = {"duration": 1.5}
+        metadata["papermill"] = {"parameters": parameters}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    nbformat.write(nbformat.v4.new_notebook(cells=cells, metadata=metadata), path)
+
+
+def test_the_copy_that_ran_with_the_notebooks_own_parameters_is_stored(project):
+    source, executed = project / "notebooks" / "05_a.ipynb", project / "results/tiny/notebooks"
+    write_notebook(source)
+    write_notebook(executed / "05_a-dual-seed1.ipynb", "of seed 1", {"profile": "tiny", "seed": 1})
+    write_notebook(executed / "05_a-other.ipynb", "of another profile", {"profile": "other", "seed": 0})
+    write_notebook(executed / "05_a-seed0.ipynb", "of the defaults", {"profile": "tiny", "seed": 0, "beside": 5})
+    assert publish_notebooks() == 1
+    stored = nbformat.read(source, as_version=4)
+    assert [cell["outputs"][0]["text"] for cell in stored.cells if cell.get("outputs")] == ["of the defaults"]
+    assert "papermill" not in stored.metadata and "papermill" not in stored.cells[-1].metadata
+    assert [cell.id for cell in stored.cells] == ["05_a"[:2] + f"-0{n}" for n in range(3)]  # what was injected is gone
+    assert [cell.execution_count for cell in stored.cells if cell.cell_type == "code"] == [1, 2]
+
+
+def test_a_notebook_that_ran_only_with_other_parameters_is_an_error_that_names_it(project):
+    source = project / "notebooks" / "05_a.ipynb"
+    write_notebook(source)
+    before = source.read_bytes()
+    write_notebook(project / "results/tiny/notebooks/05_a.ipynb", "of seed 1", {"profile": "tiny", "seed": 1})
+    with pytest.raises(InputError, match=r"holds no copy of 05_a\.ipynb with its own parameters; run `make reproduce` first"):
+        publish_notebooks()
+    assert source.read_bytes() == before
