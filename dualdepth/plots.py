@@ -83,6 +83,8 @@ def point_errors(prediction: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """|prediction − truth| / truth (H, W) at the points of a sparse truth (0 = none), spread to the pixels nearest to each; else NaN."""
     from scipy.ndimage import distance_transform_edt
 
+    if not (truth > 0).any():
+        return np.full(truth.shape, np.nan)
     error = np.abs(prediction - truth) / np.maximum(truth, 1e-3)
     distance, nearest = distance_transform_edt(truth <= 0, return_indices=True)
     return np.where(distance <= POINT_RADIUS, error[tuple(nearest)], np.nan)

@@ -87,7 +87,7 @@ class Comparison(NamedTuple):
             return None
         from scipy.stats import t
 
-        return abs(self.difference) > t.ppf(0.975, self.seeds - 1) * self.spread / self.seeds**0.5
+        return bool(abs(self.difference) > t.ppf(0.975, self.seeds - 1) * self.spread / self.seeds**0.5)
 
 
 def compare(a: Sequence[Sequence[float]], b: Sequence[Sequence[float]], *, seed: int = 0) -> Comparison:

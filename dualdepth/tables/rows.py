@@ -100,9 +100,11 @@ def _why_not(run: Run, a: str, b: str, seeds: Sequence[int]) -> str:
     missing = [v for v in (a, b) if v not in run.profile.train]
     if missing:
         return f"not run: profile {run.profile.name} does not train {' nor '.join(missing)}"
-    steps = [[load_card(run.weights(variant, seed))["steps"] for seed in seeds] for variant in (a, b)]
-    if run.profile.variant(a).stage == run.profile.variant(b).stage and steps[0] != steps[1]:
-        return f"not compared: {a} was trained for {steps[0][0]} steps, {b} for {steps[1][0]}"
+    if run.profile.variant(a).stage == run.profile.variant(b).stage:
+        for seed in seeds:
+            of_a, of_b = (load_card(run.weights(variant, seed))["steps"] for variant in (a, b))
+            if of_a != of_b:
+                return f"not compared: {a} was trained for {of_a} steps, {b} for {of_b}"
     return ""
 
 
@@ -114,7 +116,7 @@ def comparison_row(a: Sequence[np.ndarray], b: Sequence[np.ndarray], *, lower_is
     """Means, difference, intervals and words for per-image values (S, N) of two methods."""
     images = len(a[0])
     if images < 2:
-        return {"n": images, "in_words": f"not compared: {images} image"}
+        return {"n": images, "in_words": f"not compared: {images} {'image' if images == 1 else 'images'}"}
     result = compare(a, b)
     return {**result._asdict(), "n": images, "in_words": in_words(result, lower_is_better)}
 

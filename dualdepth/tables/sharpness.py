@@ -155,7 +155,8 @@ def detail_claims(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
     """The networks against each other at boundaries and on poles, paired; rows say why where there is no exact depth."""
     pairs = [("dual", "lr"), ("dual_no_sa", "lr"), ("dual", "dual_no_sa")]
     if not run.profile.world:
-        return pd.DataFrame([{"of": "boundaries and poles", "a": a, "b": b, "metric": "", "in_words": NO_DENSE_TRUTH} for a, b in pairs])
+        rows = [{"of": "boundaries and poles", "a": a, "b": b, "metric": "", "in_words": NO_DENSE_TRUTH} for a, b in pairs]
+        return pd.DataFrame(rows, columns=["of", *COMPARISON])
     boundaries = compare_trainings(run, pairs, seeds, metrics=("f1", "lateral_f1"), scores=score_boundaries)
     poles = compare_trainings(run, pairs, seeds, scores=score_poles)
     return pd.concat([boundaries.assign(of="boundaries"), poles.assign(of="poles")], ignore_index=True)[["of", *COMPARISON]]

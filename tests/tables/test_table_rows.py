@@ -136,8 +136,8 @@ def test_a_comparison_is_paired_by_image_and_seed(make_run):
 
 def test_only_images_that_both_have_are_compared(make_run):
     # they share images 2, 3 and 4; outside of them lie values that would show
-    frames = {("dual", 0): frame([99, 99, 1, 2, 3]), ("dual", 1): frame([1, 2, 3, 99], start=2)}
-    frames |= {("lr", 0): frame([5, 5, 5, -99], start=2), ("lr", 1): frame([-99, 5, 5, 5, -99], start=1)}
+    frames = {("dual", 0): frame([99, 99, 1, 2, 3, 99]), ("dual", 1): frame([99, 1, 2, 3], start=1)}
+    frames |= {("lr", 0): frame([5, 5, 5, -99], start=2), ("lr", 1): frame([5, 5, 5, -99, -99], start=2)}
     table = compare_trainings(make_run(), [("dual", "lr")], [0, 1], metrics=["abs_rel"], scores=lambda run, *key: frames[key])
     assert table.loc[0, ["mean_a", "mean_b", "difference", "n"]].tolist() == [2, 5, -3, 3]
 
