@@ -36,9 +36,9 @@ wildcard_constraints:
 
 rule all:
     input:
-        f"{RESULTS}/notebooks/00_quickstart.ipynb",
-        expand(f"{RESULTS}/notebooks/{{table}}.ipynb", table=TABLES),
-        trained(run_.profile.train),
+        expand(f"{RESULTS}/notebooks/{{page}}.ipynb", page=["00_quickstart", "01_download_data", "02_prepare_data", *TABLES]),
+        expand(f"{RESULTS}/notebooks/03_train_lr_{{variant}}_seed{{seed}}.ipynb", variant=VARIANTS["lr"], seed=SEEDS),
+        expand(f"{RESULTS}/notebooks/04_train_hr_{{variant}}_seed{{seed}}.ipynb", variant=VARIANTS["hr"], seed=SEEDS),
 
 
 rule quickstart:
