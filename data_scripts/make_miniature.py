@@ -76,7 +76,7 @@ def make_world(world: World, out: str | Path, progress: bool = True, processes: 
     if out.exists() and not (out.is_dir() and ((out / STAMP).is_file() or not any(out.iterdir()))):
         raise InputError(f"{out}: is there and is no world that this script made; give another --out or remove it")
     if _made(out) == stamp["digest"]:
-        print(f"{out}: the world is there already")
+        print(f"the world is there already, in {out.name}")
         return False
     out.parent.mkdir(parents=True, exist_ok=True)
     _remove_remains(out)
