@@ -37,12 +37,14 @@ def around(row: float, column: float, shape: Sequence[int], share: float = 0.3) 
 def interpolated(sparse: np.ndarray) -> np.ndarray:
     """Laser depth (H, W; 0 = none) between its points, linear in inverse depth; 0 above the highest point. For pictures, not for scores."""
     from scipy.interpolate import griddata
+    from scipy.spatial import QhullError
 
     rows, columns = np.nonzero(sparse)
-    if len(rows) < 4:
-        return sparse
     grid = np.mgrid[: sparse.shape[0], : sparse.shape[1]]
-    inverse = griddata((rows, columns), 1 / sparse[rows, columns], tuple(grid), method="linear", fill_value=0.0)
+    try:
+        inverse = griddata((rows, columns), 1 / sparse[rows, columns], tuple(grid), method="linear", fill_value=0.0)
+    except (QhullError, ValueError):  # too few points, or all on one line
+        return sparse
     return np.where(inverse > 0, 1 / np.maximum(inverse, 1e-3), 0)
 
 
@@ -52,10 +54,10 @@ def boundary_window(depth: np.ndarray) -> Window:
 
     steps = np.abs(np.diff(np.log(np.maximum(depth, 1e-3)), axis=1)).clip(max=1)
     steps[depth[:, 1:] * depth[:, :-1] <= 0] = 0
-    height = max(round(0.3 * depth.shape[0]), 8)
-    density = cv2.boxFilter(steps, -1, (min(2 * height, steps.shape[1]), height), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    spread = max(0.3 * depth.shape[0], 8) / 3
+    density = cv2.GaussianBlur(steps, (0, 0), sigmaX=2 * spread, sigmaY=spread, borderType=cv2.BORDER_CONSTANT)
     row, column = np.unravel_index(density.argmax(), density.shape)
-    return around(row, column, depth.shape)
+    return around(row + 0.5, column + 1, depth.shape)
 
 
 def far_window(truth: np.ndarray) -> Window | None:

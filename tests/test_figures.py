@@ -191,3 +191,16 @@ def test_the_drawing_names_every_part_and_every_arrow_ends_at_one():
         assert words in written
     assert {end for start, end, _ in figures.ARROWS for end in (start, end)} == set(figures.BOXES)
     assert len(figure.axes[0].patches) == len(figures.BOXES) + len(figures.ARROWS) + 1  # and the arrow from HR depth to the loss
+
+
+def test_a_lone_edge_is_in_the_middle_of_the_boundary_window():
+    depth = np.full((200, 640), 30.0)
+    depth[:, :300] = 5
+    window = figures.boundary_window(depth)
+    assert abs(window.left + window.width / 2 - 300) <= 1
+
+
+def test_points_on_one_line_cannot_be_interpolated_and_stay_as_they_are():
+    sparse = np.zeros((20, 30))
+    sparse[5, ::3] = 7.0
+    assert np.array_equal(figures.interpolated(sparse), sparse)

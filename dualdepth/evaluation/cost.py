@@ -5,12 +5,14 @@ import statistics
 import time
 import weakref
 from collections.abc import Callable, Iterator
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 from torch.utils.flop_counter import FlopCounterMode
+
+Precision = Literal["float32", "bf16"]
 
 
 class Cost(NamedTuple):
@@ -55,9 +57,7 @@ def count(model: torch.nn.Module, *inputs: torch.Tensor) -> Cost:
     return Cost(params, flops // 2)
 
 
-def latency(
-    model: torch.nn.Module, *inputs: torch.Tensor, repeats: int = 10, warmup: int = 2, precision: Literal["float32", "bf16"] = "float32"
-) -> Latency:
+def latency(model: torch.nn.Module, *inputs: torch.Tensor, repeats: int = 10, warmup: int = 2, precision: Precision = "float32") -> Latency:
     """Measure `model(*inputs)` in eval mode on the device of its inputs.
 
     Args:
@@ -67,6 +67,8 @@ def latency(
         warmup: runs before them, which choose kernels and fill caches.
         precision: `bf16` runs under autocast, with the weights in float32.
     """
+    if precision not in get_args(Precision):
+        raise ValueError(f"precision {precision!r} is unknown: choose one of {', '.join(get_args(Precision))}")
     device = inputs[0].device
     cuda = device.type == "cuda"
     times = []

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from dualdepth.errors import InputError
 from dualdepth.evaluation.depth import Protocol, errors, median, valid_pixels
 
 FAR = 20.0
@@ -30,20 +31,30 @@ def evaluate_near_far(
 
     Returns:
         One row per image and part that has pixels, indexed by (`image`, `distance`): the metrics and `valid_pixels`.
+
+    Raises:
+        InputError: the numbers of maps differ, a prediction cannot be scored (its place is named), or no image has a valid pixel.
     """
     settings, rows = Protocol(**protocol), {}
+    if len(predictions) != len(ground_truths):
+        raise InputError(f"{len(predictions)} predictions but {len(ground_truths)} ground truths; give one for each, in order")
     for number, ground_truth in enumerate(ground_truths):
-        pixels = valid_pixels(predictions[number], ground_truth, settings)
+        try:
+            pixels = valid_pixels(predictions[number], ground_truth, settings)
+        except InputError as error:
+            raise InputError(f"image {number}: {error}") from None
         if pixels is None:
             continue
         far = pixels.ground_truth > FAR
         for part, mask in zip(PARTS, (~far, far)):
             if mask.any():
                 truth, depth = pixels.ground_truth[mask], pixels.prediction[mask]
-                if own_ratio:
+                if own_ratio and settings.median_scaling:
                     raw = pixels.unscaled[mask]
                     depth = np.clip(raw * (median(truth) / median(raw)), settings.min_depth, settings.max_depth)
                 rows[number, part] = errors(truth, depth) | {"valid_pixels": int(mask.sum())}
+    if not rows:
+        raise InputError(f"none of the {len(ground_truths)} ground truths has a valid pixel; check the crop and the depth limits")
     return pd.DataFrame.from_dict(rows, orient="index").rename_axis(["image", "distance"])
 
 

@@ -1,5 +1,6 @@
 """SA-Attention: LR-Net's deepest features, bundled with those of similar positions (paper, section "SA-Attention Module")."""
 
+import contextlib
 from typing import Literal, get_args
 
 import torch
@@ -40,7 +41,9 @@ class SelfAssembledAttention(nn.Module):
 
     def forward(self, features: Tensor, image: Tensor) -> Tensor:
         """Assembled features (B, 128, h, w) of features (B, C, h, w) and the image (B, 3, H, W) in [0, 1]; float32 throughout."""
-        with torch.autocast(features.device.type, enabled=False):
+        kind = features.device.type
+        # the meta device, on which operations are counted, has no autocast to turn off
+        with torch.autocast(kind, enabled=False) if torch.amp.is_autocast_available(kind) else contextlib.nullcontext():
             features = features.float()
             _, _, h, w = features.shape
             colours = F.adaptive_avg_pool2d(image.float(), (h, w))

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from dualdepth.errors import InputError
 from dualdepth.evaluation.depth import METRICS, evaluate
 from dualdepth.evaluation.distance import evaluate_near_far, far_share
 
@@ -137,3 +138,13 @@ def test_the_far_share_is_zero_or_one_where_a_part_is_missing_everywhere():
     for depth, share in ((8.0, 0), (50.0, 1)):
         assert far_share(evaluate_near_far([np.ones((2, 2))], [np.full((4, 4), depth)], crop="none")) == share
     assert math.isnan(far_share(evaluate_near_far([np.ones((2, 2))], [np.full((4, 4), 8.0)], crop="none").iloc[:0]))
+
+
+def test_an_empty_or_unequal_input_is_one_clear_error():
+    depth = np.full((20, 40), 10.0)
+    with pytest.raises(InputError, match="none of the 1 ground truths has a valid pixel"):
+        evaluate_near_far([depth], [np.zeros_like(depth)])
+    with pytest.raises(InputError, match="2 predictions but 1 ground truths"):
+        evaluate_near_far([depth, depth], [depth])
+    with pytest.raises(InputError, match="image 1: the depth holds NaN"):
+        evaluate_near_far([depth, np.full_like(depth, np.nan)], [depth, depth])
