@@ -13,6 +13,7 @@ STAMP := $(VENV)/.installed
 .PHONY: help env reproduce test lab lint lock bench publish notebooks clean
 
 help: ## what can be made
+	@echo "make reproduce [PROFILE=tiny] [KITTI_ROOT=dir] [TEST_LIST=file] [SEEDS=0,1,2], and:"
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 12
 
 env: $(STAMP) ## make .venv from environment.lock

@@ -48,7 +48,11 @@ def main(argv: list[str] | None = None) -> int:
     """
     arguments = build_parser().parse_args(argv)
     with exit_on_input_error():
-        return arguments.run(arguments)
+        try:
+            return arguments.run(arguments)
+        except KeyboardInterrupt:
+            print("stopped; the same command goes on where it was", file=sys.stderr)
+            return 130
 
 
 if __name__ == "__main__":

@@ -121,6 +121,8 @@ def profile_file(name: str) -> Path:
     path = Path(name) if name.endswith((".yaml", ".yml")) else PROFILES / f"{name}.yaml"
     if not path.is_file():
         known = sorted(p.stem for p in PROFILES.glob("*.yaml"))
+        if name.endswith((".yaml", ".yml")):
+            raise InputError(f"profile {name}: there is no such file")
         raise InputError(f"profile {name!r} not found: choose one of {', '.join(known)} or give the path of a .yaml file")
     return path
 

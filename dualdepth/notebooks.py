@@ -64,7 +64,7 @@ def run_notebook(name: str, out: str | Path, parameters: dict[str, Any]) -> Path
         _collapse_progress(notebook)
         nbformat.write(notebook, partial)
     failed.unlink(missing_ok=True)
-    print(f"✓ {name}: {time.perf_counter() - began:.0f} s", file=sys.stderr, flush=True)
+    print(f"✓ {name} ({said}): {time.perf_counter() - began:.0f} s", file=sys.stderr, flush=True)
     return out
 
 

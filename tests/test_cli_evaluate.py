@@ -164,3 +164,12 @@ def test_help_is_quick(arguments):
     done = subprocess.run([sys.executable, "-m", "dualdepth.cli", *arguments], capture_output=True, text=True, check=False)
     assert done.returncode == 0 and "usage: dualdepth" in done.stdout
     assert time.perf_counter() - start < 2
+
+
+def test_ctrl_c_is_one_line_that_says_how_to_go_on(monkeypatch, capsys):
+    def interrupted(_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("dualdepth.commands.train.train", interrupted)
+    assert main(["train"]) == 130
+    assert capsys.readouterr().err == "stopped; the same command goes on where it was\n"

@@ -235,3 +235,8 @@ variants:
 def test_a_bad_variant_is_one_error_that_names_file_and_mend(written, text, said):
     with pytest.raises(InputError, match=rf"own\.yaml: .*{said}"):
         load_profile(written(GOOD + text))
+
+
+def test_a_profile_file_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(InputError, match=r"profile .*gone\.yaml: there is no such file"):
+        load_profile(str(tmp_path / "gone.yaml"))

@@ -145,12 +145,13 @@ def test_the_log_has_losses_poses_and_disparities(batch):
 
 
 def test_losses_are_float32_under_bfloat16(batch):
+    stage = stage_of()
+    poses = stage(batch).poses
+    stage.pose_net.forward = lambda images: poses  # PoseNet's own are rounded
+    plain = stage(batch).losses
     with torch.autocast("cpu", torch.bfloat16):
-        losses = stage_of()(batch).losses
-    plain = stage_of()(batch).losses
-    assert losses.total.dtype == torch.float32
-    # the poses are rounded, the losses are not
-    assert torch.allclose(losses.smoothness, plain.smoothness, rtol=1e-6)
+        losses = stage(batch).losses
+    assert all(torch.equal(a, b) for a, b in zip(losses, plain))
 
 
 @pytest.mark.parametrize("link", ["attention", "embedding"])

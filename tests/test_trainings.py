@@ -12,6 +12,7 @@ from accelerate.state import AcceleratorState
 from safetensors.torch import load_file
 from small_kitti import DRIVE, write_calibration, write_drive
 
+from dualdepth import trainings
 from dualdepth.building import make_stage
 from dualdepth.checkpoints import load_card, load_checkpoint
 from dualdepth.data.triplets import drive_triplets
@@ -55,7 +56,7 @@ def backbones(tmp_path_factory):
 def run_in(backbones):
     """A run in a folder that looks like a checkout, with changes of its profile."""
 
-    def make(root, encoder=backbones.usual, hr_size=(192, 192), lr=None, train=None):
+    def make(root, encoder=backbones.usual, hr_size=(192, 192), lr=None):
         values = {
             "about": "a test",
             "data": {"source": "kitti", "train_drives": [DRIVE], "hr_size": hr_size},
@@ -64,7 +65,7 @@ def run_in(backbones):
                 "lr": lr or {"batch_size": 1, "max_steps": 2},
                 "hr": {"batch_size": 1, "epochs": 1},
             },
-            "train": {"lr": None, "dual": train, "dual_no_sa": train, "hr_only": ONE_STEP, "one_network": ONE_STEP},
+            "train": {"lr": None, "dual": None, "dual_no_sa": None, "hr_only": ONE_STEP, "one_network": ONE_STEP},
             "variants": {"one_network": {"label": "one", "about": "one network", "network": "single"}},
         }
         (root / "notebooks").mkdir(exist_ok=True)
@@ -197,11 +198,20 @@ def test_the_card_says_which_network_it_is_what_it_saw_and_what_it_started_from(
 
 @pytest.mark.parametrize("said", [True, False])
 @pytest.mark.parametrize("name", ["dual", "dual_no_sa", "hr_only"])
-def test_whether_imagenets_weights_are_in_it_stands_in_stage_1s_card(after_stage_1, name, said):
+def test_whether_imagenets_weights_are_in_it_stands_in_stage_1s_card(after_stage_1, monkeypatch, name, said):
     """The profile says that there are none, and HR-Net by itself never has any."""
-    run = after_stage_1(train=ONE_STEP)
+    cards = []
+
+    def train(*_, card, **__):
+        cards.append(card)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(trainings, "train", train)
+    run = after_stage_1()
     change_card(run, pretrained=said)
-    assert load_card(train_variant(run, name, 0))["pretrained"] == (said and name != "hr_only")
+    with pytest.raises(KeyboardInterrupt):
+        train_variant(run, name, 0)
+    assert cards[0]["pretrained"] == (said and name != "hr_only")
 
 
 @pytest.mark.parametrize(("name", "network"), [("lr", "lr"), ("dual", "dual"), ("hr_only", "hr"), ("one_network", "single")])
@@ -317,6 +327,10 @@ SPOILT = {
     "another version's card": (
         lambda run: change_card(run, network={"encoder": "resnet50", "hr_size": [192, 192]}, encoder=None, hr_size=None),
         r"/runs/lr/seed0/model\.safetensors: trained with network .*; train lr again with this profile$",
+    ),
+    "a card of another project": (
+        lambda run: run.weights("lr", 0).with_suffix(".json").write_text('{"license": "MIT"}'),
+        r"/runs/lr/seed0/model\.(json|safetensors): .*; .+$",
     ),
     "no triplets": (
         lambda run: (run.prepared / "triplets.csv").unlink(),

@@ -63,6 +63,7 @@ def reproduce(arguments: argparse.Namespace) -> int:
     if done.returncode:
         logs = sorted((run.root / ".snakemake" / "log").glob("*.log"))
         raise InputError(f"the chain stopped, see above; Snakemake's log is {logs[-1].relative_to(run.root) if logs else 'not there'}")
+    print(f"{run.profile.name}: {run.profile.about}")
     print(f"results of profile {run.profile.name}: {run.results.relative_to(run.root)}/tables, figures, notebooks")
     return 0
 

@@ -151,13 +151,18 @@ def test_without_mixing_it_is_the_embedding_of_the_same_size(similarity):
 @pytest.mark.parametrize("mixing", [True, False])
 def test_it_computes_in_float32_under_bfloat16(mixing):
     attention = attention_of(mixing=mixing)
-    features, image = (given.bfloat16() for given in inputs())
+    features, image = (given.bfloat16() for given in inputs(size=(2, 4)))  # coordinates ±1/3 are none of bfloat16's numbers
     with torch.no_grad():
         expected = attention(features.float(), image.float())
         with torch.autocast("cpu", torch.bfloat16):
             found = attention(features, image)
     assert found.dtype == torch.float32
     assert torch.equal(found, expected)
+
+
+def test_it_runs_on_the_meta_device_where_operations_are_counted():
+    features, image = (given.to("meta") for given in inputs())
+    assert attention_of().to("meta")(features, image).shape == (2, WIDTH, *SIZE)
 
 
 @pytest.mark.parametrize(("similarity", "normalise"), SETTINGS)
@@ -223,11 +228,11 @@ def test_the_scale_is_the_last_training_batchs_root_mean_square(mixing):
 
 
 @pytest.mark.parametrize(("similarity", "normalise"), [("dot", "none"), ("dot", "mean"), ("cosine", "none")])
-def test_it_starts_within_twenty_times_of_the_scale_of_its_features(similarity, normalise):
+def test_it_starts_near_the_scale_of_its_features(similarity, normalise):
     """As wide and as many as ResNet50's at the paper's size; without the gain the literal form is 200 times larger."""
     attention = attention_of(similarity, normalise, channels=2048)
     rng = torch.Generator().manual_seed(0)
     features = torch.randn(2, 2048, 4, 13, generator=rng).relu()
     with torch.no_grad():
         found = attention(features, torch.rand(2, 3, 128, 416, generator=rng))
-    assert 1 / 20 < found.square().mean().sqrt() / features.square().mean().sqrt() < 20
+    assert 1 / 20 < found.square().mean().sqrt() / features.square().mean().sqrt() < 3
