@@ -36,15 +36,23 @@ def make_stage(profile: Profile, variant: Variant, start: Path | None = None) ->
     pretrained = profile.training.pretrained if variant.network == "single" else False
     stage = HRStage(profile, architecture(variant, profile).build(pretrained), PoseNet())
     if start:
-        _check_start(start, profile, variant)
+        check_start(start, profile, variant)
         load_weights(start, stage.pose_net, prefix="pose_net.")
         if variant.network == "dual":
             load_weights(start, stage.depth_net.lr_net, prefix="depth_net.")
     return stage
 
 
-def _check_start(start: Path, profile: Profile, variant: Variant) -> None:
+def check_start(start: Path, profile: Profile, variant: Variant) -> None:
+    """Make sure that weights of stage 1 are what a variant can start from.
+
+    Raises:
+        InputError: their card is not of this project, or they are of another network, backbone or size.
+    """
     card = load_card(start)
+    missing = {"variant", "seed", "steps", "sha256", "drives", "pretrained"} - set(card)
+    if missing and card.get("network") == "lr":
+        raise InputError(f"{start}: its card has no {sorted(missing)[0]}; train {variant.starts_from} again")
     found = (card.get("network"), card.get("encoder"), card.get("hr_size"))
     needed = ("lr", profile.training.encoder, list(profile.data.hr_size))
     if found != needed:

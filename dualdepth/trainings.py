@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from dualdepth.atomic import write_text
-from dualdepth.building import architecture, make_stage
+from dualdepth.building import architecture, check_start, make_stage
 from dualdepth.checkpoints import load_card
 from dualdepth.config import Profile
 from dualdepth.data.triplets import load_triplets, read_targets
@@ -25,6 +25,8 @@ def train_variant(run: Run, name: str, seed: int) -> Path:
     variant, profile = run.profile.variant(name), run.profile.of_variant(name)
     index = run.require(run.prepared / "triplets.csv", "02_prepare_data")
     start = start_weights(run, variant, seed)
+    if start:
+        check_start(start, profile, variant)
     weights, recipe = run.weights(name, seed), run.recipe(name, seed)
     if weights.exists() and (card := load_card(weights)).get("recipe") == recipe:
         print(f"already trained: {card['steps']} steps, seed {seed}")
