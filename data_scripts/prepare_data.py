@@ -27,20 +27,34 @@ class Prepared(NamedTuple):
     """Training-side laser frames for the baselines; 0: each scored drive is predicted from the others."""
 
 
-def find_data(run: Run, kitti_root: str = "", test_list: str = "") -> Sources:
+def find_data(
+    run: Run,
+    kitti_root: str = "",
+    test_list: str = "",
+    odometry_root: str = "",
+    make3d_root: str = "",
+    labels_root: str = "",
+    allow_leak: bool = False,
+) -> Sources:
     """Make the synthetic world, or take the user's KITTI, or download what the profile needs; remember where it is.
 
+    The other benchmarks' folders are taken where they are given; without one its table says how to get it.
+
     Raises:
-        InputError: the folder is no KITTI root, or a list or download cannot be had.
+        InputError: a folder is not what it should be, or a list or download cannot be had.
     """
+    others = {"odometry_root": odometry_root, "make3d_root": make3d_root, "labels_root": labels_root}
     if run.profile.world:
-        if kitti_root or test_list:
-            raise InputError(f"profile {run.profile.name} makes its own data: KITTI_ROOT and TEST_LIST belong to sample, paper or your own")
+        given = [name.upper() for name, value in {"kitti_root": kitti_root, "test_list": test_list, **others}.items() if value]
+        if given:
+            raise InputError(f"profile {run.profile.name} makes its own data: {' and '.join(given)} belong to sample, paper or your own")
         root = run.work / "miniature"
         make_miniature.make_world(run.profile.world, root)
         sources = world_sources(root)
     else:
         sources = kitti_sources(run, kitti_root, test_list)
+        sources = sources._replace(**{name: Path(value).resolve() if value else None for name, value in others.items()})
+    sources = sources._replace(allow_leak=allow_leak)
     sources.save(run)
     return sources
 
@@ -55,6 +69,9 @@ def world_sources(root: Path) -> Sources:
         train_drives=drives,
         static_frames=lists / "static_frames.txt",
         test_scenes=lists / "test_scenes.txt",
+        odometry_root=root / "kitti_odometry",
+        make3d_root=root / "make3d",
+        labels_root=root / "labels",
     )
 
 

@@ -1,7 +1,7 @@
 """From images to disparities with trained weights."""
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -48,11 +48,16 @@ def load_depth_net(weights: str | Path) -> DepthNet:
 
 @torch.inference_mode()
 def predict_disparities(
-    depth_net: DepthNet, paths: Sequence[str | Path], *, device: str | torch.device = "cpu", batch_size: int = 4
+    depth_net: DepthNet,
+    paths: Sequence[str | Path],
+    *,
+    device: str | torch.device = "cpu",
+    batch_size: int = 4,
+    read: Callable[[str | Path], np.ndarray] = read_image,
 ) -> np.ndarray:
     """Disparities of image files, at the network's own size.
 
-    The whole frame is resized to the HR size; LR-Net sees it averaged 3×3, as in training.
+    What `read` gives of a file, (H, W, 3) uint8 RGB, is resized to the HR size; LR-Net sees that averaged 3×3, as in training.
 
     Returns:
         (N, h, w) float32, positive, of unknown scale.
@@ -62,7 +67,7 @@ def predict_disparities(
     maps = []
     with tqdm(total=len(paths), desc="predicting", unit="image") as bar:
         for batch in _batches(paths, batch_size):
-            frames = np.stack([resize(read_image(path), hr_size) for path in batch]).transpose(0, 3, 1, 2)
+            frames = np.stack([resize(read(path), hr_size) for path in batch]).transpose(0, 3, 1, 2)
             images = to_unit(torch.from_numpy(np.ascontiguousarray(frames)))
             if architecture.sees_low_resolution:
                 images = low_resolution(images[:, None])[:, 0]

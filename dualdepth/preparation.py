@@ -24,6 +24,14 @@ class Sources(NamedTuple):
     """Training drives where the profile names none: those of the synthetic world."""
     static_frames: Path | None = None
     test_scenes: Path | None = None
+    odometry_root: Path | None = None
+    """Holds `sequences` and `poses`; None: no odometry here."""
+    make3d_root: Path | None = None
+    """Holds `Test134` and `Gridlaserdata`; None: no Make3D here."""
+    labels_root: Path | None = None
+    """Holds `<drive>/<frame>.png`, Cityscapes training ids of the scored frames; None: no labels here."""
+    allow_leak: bool = False
+    """Score even what was trained on, and say so."""
 
     def save(self, run: Run) -> None:
         """Write `work/<profile>/sources.json`."""
