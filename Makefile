@@ -1,4 +1,5 @@
-# make reproduce [PROFILE=tiny] [KITTI_ROOT=dir] [TEST_LIST=file] [SEEDS=0,1,2] · make test · make help
+# make reproduce [PROFILE=tiny] [KITTI_ROOT=dir] [ODOMETRY_ROOT=dir] [MAKE3D_ROOT=dir] [LABELS_ROOT=dir] [TEST_LIST=file]
+#                [SEEDS=0,1,2] [ALLOW_LEAK=1] · make test · make help
 PROFILE ?= tiny
 PYTHON ?= python3.11
 VENV := .venv
@@ -13,7 +14,8 @@ STAMP := $(VENV)/.installed
 .PHONY: help env reproduce test lab lint lock bench publish notebooks clean
 
 help: ## what can be made
-	@echo "make reproduce [PROFILE=tiny] [KITTI_ROOT=dir] [TEST_LIST=file] [SEEDS=0,1,2], and:"
+	@echo "make reproduce [PROFILE=tiny] [KITTI_ROOT=dir] [ODOMETRY_ROOT=dir] [MAKE3D_ROOT=dir] [LABELS_ROOT=dir] [TEST_LIST=file]"
+	@echo "               [SEEDS=0,1,2] [ALLOW_LEAK=1], and:"
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 12
 
 env: $(STAMP) ## make .venv from environment.lock
@@ -25,7 +27,8 @@ $(STAMP): environment.lock pyproject.toml
 	touch $@
 
 reproduce: env ## run every notebook of a profile: data, training, tables, figures
-	@dualdepth reproduce --profile "$(PROFILE)" --kitti-root "$(KITTI_ROOT)" --test-list "$(TEST_LIST)" --seeds "$(SEEDS)"
+	@dualdepth reproduce --profile "$(PROFILE)" --kitti-root "$(KITTI_ROOT)" --test-list "$(TEST_LIST)" --seeds "$(SEEDS)" \
+	    --odometry-root "$(ODOMETRY_ROOT)" --make3d-root "$(MAKE3D_ROOT)" --labels-root "$(LABELS_ROOT)" $(if $(ALLOW_LEAK),--allow-leak)
 
 test: env lint ## lint, unit tests, the tiny chain, notebooks against their stored outputs
 	pytest

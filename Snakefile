@@ -7,8 +7,24 @@ run_ = Run(PROFILE)
 NAME = run_.profile.name
 SEEDS = [int(s) for s in str(config.get("seeds", "")).split(",") if s] or run_.profile.seeds
 WORK, RESULTS = f"work/{NAME}", f"results/{NAME}"
-VARIANTS = {stage: [v for v in run_.profile.train if run_.profile.variant(v).stage == stage] for stage in ("lr", "hr")}
-TABLES = ["05_table_main", "07_table_ablation", "08_table_distance", "09_table_sharpness", "11_table_backbone", "13_figures"]
+ROOTS = ("kitti_root", "test_list", "odometry_root", "make3d_root", "labels_root")
+GIVEN = {name: config.get(name) or "" for name in ROOTS}
+# without odometry's frames there is nothing to train its variants on; their table says so
+DEPTH, ODOMETRY = run_.profile.trained_on("depth"), run_.profile.trained_on("odometry")
+TRAINED = DEPTH + (ODOMETRY if run_.profile.world or GIVEN["odometry_root"] else [])
+VARIANTS = {stage: [v for v in TRAINED if run_.profile.variant(v).stage == stage] for stage in ("lr", "hr")}
+# each page that scores trainings: its table, if it has one, and the trainings
+PAGES = {
+    "05_table_main": ("main", ["lr", "dual"]),
+    "06_table_make3d": ("make3d", ["lr", "dual_no_sa", "dual"]),
+    "07_table_ablation": ("ablation", DEPTH),
+    "08_table_distance": ("distance", ["lr", "dual_no_sa", "dual"]),
+    "09_table_sharpness": ("sharpness", ["lr", "dual_no_sa", "dual"]),
+    "10_table_sa_region": ("sa_region", ["dual_no_sa", "dual"]),
+    "11_table_backbone": ("backbone", ["lr", "dual", "mobilenet_v2", "resnet18", "dual_scratch"]),
+    "12_table_odometry": ("odometry", ODOMETRY),
+    "13_figures": (None, ["lr", "dual"]),
+}
 # trainings side by side do more in the same time than one after the other on all cores
 THREADS = {stage: max(1, workflow.cores // max(1, len(names) * len(SEEDS))) for stage, names in VARIANTS.items()}
 
@@ -25,7 +41,12 @@ def trained(variants):
 
 def needed(*variants):
     """Those of the variants that the profile trains."""
-    return trained([v for v in variants if v in run_.profile.train])
+    return trained([v for v in variants if v in TRAINED])
+
+
+def index(variant):
+    """Prepared triplets of a variant."""
+    return str(run_.index(variant).relative_to(run_.root))
 
 
 wildcard_constraints:
@@ -36,7 +57,7 @@ wildcard_constraints:
 
 rule all:
     input:
-        expand(f"{RESULTS}/notebooks/{{page}}.ipynb", page=["00_quickstart", "01_download_data", "02_prepare_data", *TABLES]),
+        expand(f"{RESULTS}/notebooks/{{page}}.ipynb", page=["00_quickstart", "01_download_data", "02_prepare_data", *PAGES, "14_report"]),
         expand(f"{RESULTS}/notebooks/03_train_lr_{{variant}}_seed{{seed}}.ipynb", variant=VARIANTS["lr"], seed=SEEDS),
         expand(f"{RESULTS}/notebooks/04_train_hr_{{variant}}_seed{{seed}}.ipynb", variant=VARIANTS["hr"], seed=SEEDS),
 
@@ -59,12 +80,13 @@ rule download_data:
         notebook=notebook("01_download_data"),
         settings=run_.profile.digest("world", "data"),
         code=code_digest("world"),
-        kitti_root=config.get("kitti_root") or "",
-        test_list=config.get("test_list") or "",
+        **GIVEN,
+        allow_leak=int(config.get("allow_leak") or 0),
     threads: workflow.cores
     shell:
         "dualdepth notebook 01_download_data --out {output.notebook} --set profile={PROFILE:q}"
-        " kitti_root={params.kitti_root:q} test_list={params.test_list:q}"
+        " kitti_root={params.kitti_root:q} test_list={params.test_list:q} odometry_root={params.odometry_root:q}"
+        " make3d_root={params.make3d_root:q} labels_root={params.labels_root:q} allow_leak={params.allow_leak}"
 
 
 rule prepare_data:
@@ -76,9 +98,11 @@ rule prepare_data:
         identity=f"{WORK}/prepared/identity.json",
         frames=f"{WORK}/prepared/test_frames.json",
         truth=f"{WORK}/prepared/ground_truth.npz",
+        odometry=[f"{WORK}/prepared/odometry.csv"] if set(ODOMETRY) <= set(TRAINED) and ODOMETRY else [],
     params:
         notebook=notebook("02_prepare_data"),
         settings=run_.profile.digest("data"),
+        odometry=ODOMETRY != [],
         code=code_digest("prepare"),
     shell:
         "dualdepth notebook 02_prepare_data --out {output.notebook} --set profile={PROFILE:q}"
@@ -86,7 +110,7 @@ rule prepare_data:
 
 rule train_lr:
     input:
-        f"{WORK}/prepared/triplets.csv",
+        lambda wildcards: index(wildcards.lr),
         f"{WORK}/prepared/identity.json",
     output:
         notebook=f"{RESULTS}/notebooks/03_train_lr_{{lr}}_seed{{seed}}.ipynb",
@@ -105,7 +129,7 @@ rule train_lr:
 
 rule train_hr:
     input:
-        f"{WORK}/prepared/triplets.csv",
+        lambda wildcards: index(wildcards.hr),
         f"{WORK}/prepared/identity.json",
         lambda wildcards: [
             f"{WORK}/runs/{start}/seed{wildcards.seed}/trained.json" for start in [run_.profile.variant(wildcards.hr).starts_from] if start
@@ -132,114 +156,37 @@ SHARED = {
     "code": code_digest("predict", "tables"),
 }
 
+for page, (table, names) in PAGES.items():
 
-rule table_main:
+    rule:
+        name:
+            page
+        input:
+            f"{WORK}/prepared/ground_truth.npz",
+            needed(*names),
+        output:
+            notebook=f"{RESULTS}/notebooks/{page}.ipynb",
+            table=[f"{RESULTS}/tables/{table}.csv", f"{RESULTS}/tables/{table}.json"] if table else [],
+        params:
+            **SHARED,
+            page=page,
+            notebook=notebook(page),
+        threads: workflow.cores if table == "backbone" else max(1, workflow.cores // 2)  # the one measures time
+        resources:
+            gpu=1,
+        shell:
+            "OMP_NUM_THREADS={threads} dualdepth notebook {params.page} --out {output.notebook}"
+            " --set profile={PROFILE:q} seeds={params.seeds}"
+
+
+rule report:
     input:
-        f"{WORK}/prepared/ground_truth.npz",
-        needed("lr", "dual"),
+        expand(f"{RESULTS}/notebooks/{{page}}.ipynb", page=PAGES),
     output:
-        notebook=f"{RESULTS}/notebooks/05_table_main.ipynb",
-        table=f"{RESULTS}/tables/main.csv",
-        stamp=f"{RESULTS}/tables/main.json",
+        notebook=f"{RESULTS}/notebooks/14_report.ipynb",
+        page=f"{RESULTS}/report.html",
     params:
         **SHARED,
-        notebook=notebook("05_table_main"),
-    threads: max(1, workflow.cores // 2)
-    resources:
-        gpu=1,
+        notebook=notebook("14_report"),
     shell:
-        "OMP_NUM_THREADS={threads} dualdepth notebook 05_table_main --out {output.notebook}"
-        " --set profile={PROFILE:q} seeds={params.seeds}"
-
-
-rule table_ablation:
-    input:
-        f"{WORK}/prepared/ground_truth.npz",
-        needed(*run_.profile.train),
-    output:
-        notebook=f"{RESULTS}/notebooks/07_table_ablation.ipynb",
-        table=f"{RESULTS}/tables/ablation.csv",
-        stamp=f"{RESULTS}/tables/ablation.json",
-    params:
-        **SHARED,
-        notebook=notebook("07_table_ablation"),
-    threads: max(1, workflow.cores // 2)
-    resources:
-        gpu=1,
-    shell:
-        "OMP_NUM_THREADS={threads} dualdepth notebook 07_table_ablation --out {output.notebook}"
-        " --set profile={PROFILE:q} seeds={params.seeds}"
-
-
-rule table_distance:
-    input:
-        f"{WORK}/prepared/ground_truth.npz",
-        needed("lr", "dual_no_sa", "dual"),
-    output:
-        notebook=f"{RESULTS}/notebooks/08_table_distance.ipynb",
-        table=f"{RESULTS}/tables/distance.csv",
-        stamp=f"{RESULTS}/tables/distance.json",
-    params:
-        **SHARED,
-        notebook=notebook("08_table_distance"),
-    threads: max(1, workflow.cores // 2)
-    resources:
-        gpu=1,
-    shell:
-        "OMP_NUM_THREADS={threads} dualdepth notebook 08_table_distance --out {output.notebook}"
-        " --set profile={PROFILE:q} seeds={params.seeds}"
-
-
-rule table_sharpness:
-    input:
-        f"{WORK}/prepared/ground_truth.npz",
-        needed("lr", "dual_no_sa", "dual"),
-    output:
-        notebook=f"{RESULTS}/notebooks/09_table_sharpness.ipynb",
-        table=f"{RESULTS}/tables/sharpness.csv",
-        stamp=f"{RESULTS}/tables/sharpness.json",
-    params:
-        **SHARED,
-        notebook=notebook("09_table_sharpness"),
-    threads: max(1, workflow.cores // 2)
-    resources:
-        gpu=1,
-    shell:
-        "OMP_NUM_THREADS={threads} dualdepth notebook 09_table_sharpness --out {output.notebook}"
-        " --set profile={PROFILE:q} seeds={params.seeds}"
-
-
-rule table_backbone:
-    input:
-        f"{WORK}/prepared/ground_truth.npz",
-        needed("lr", "dual", "mobilenet_v2", "resnet18", "dual_scratch"),
-    output:
-        notebook=f"{RESULTS}/notebooks/11_table_backbone.ipynb",
-        table=f"{RESULTS}/tables/backbone.csv",
-        stamp=f"{RESULTS}/tables/backbone.json",
-    params:
-        **SHARED,
-        notebook=notebook("11_table_backbone"),
-    threads: workflow.cores  # it measures time
-    resources:
-        gpu=1,
-    shell:
-        "dualdepth notebook 11_table_backbone --out {output.notebook}"
-        " --set profile={PROFILE:q} seeds={params.seeds}"
-
-
-rule figures:
-    input:
-        f"{WORK}/prepared/ground_truth.npz",
-        needed("lr", "dual"),
-    output:
-        notebook=f"{RESULTS}/notebooks/13_figures.ipynb",
-    params:
-        **SHARED,
-        notebook=notebook("13_figures"),
-    threads: max(1, workflow.cores // 2)
-    resources:
-        gpu=1,
-    shell:
-        "OMP_NUM_THREADS={threads} dualdepth notebook 13_figures --out {output.notebook}"
-        " --set profile={PROFILE:q} seeds={params.seeds}"
+        "dualdepth notebook 14_report --out {output.notebook} --set profile={PROFILE:q} seeds={params.seeds}"

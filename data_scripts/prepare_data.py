@@ -10,10 +10,20 @@ from typing import NamedTuple
 
 from data_scripts import download_kitti, export_depth, make_miniature
 from dualdepth.atomic import write_json, write_text
+from dualdepth.commands.reproduce import ROOTS, add_roots
 from dualdepth.data.kitti import CAMERA_OF_SIDE, Frame, check_root, read_frame_list
 from dualdepth.data.sources import drive_archives, named_list
 from dualdepth.errors import InputError, exit_on_input_error
-from dualdepth.preparation import Sources, check_separate, laser_frames, test_frames, training_targets, write_identity, write_training_index
+from dualdepth.preparation import (
+    Sources,
+    check_separate,
+    laser_frames,
+    test_frames,
+    training_targets,
+    write_identity,
+    write_odometry,
+    write_training_index,
+)
 from dualdepth.results import Run
 
 
@@ -25,6 +35,8 @@ class Prepared(NamedTuple):
     listed: int
     baseline: int
     """Training-side laser frames for the baselines; 0: each scored drive is predicted from the others."""
+    odometry: int = 0
+    """Triplets of odometry sequences."""
 
 
 def find_data(
@@ -102,7 +114,8 @@ def kitti_sources(run: Run, kitti_root: str, test_list: str) -> Sources:
 
 
 def prepare(run: Run) -> Prepared:
-    """Write `work/<profile>/prepared`: triplets.csv, test_frames.json, ground_truth.npz and, from training frames, baseline_truth.npz.
+    """Write `work/<profile>/prepared`: triplets.csv, test_frames.json, ground_truth.npz, from training frames baseline_truth.npz, and
+    odometry.csv where odometry is trained.
 
     Raises:
         InputError: files are missing (all in one message), or a drive is both trained on and scored.
@@ -110,7 +123,7 @@ def prepare(run: Run) -> Prepared:
     sources = Sources.load(run)
     targets = training_targets(run, sources)
     scored, listed = test_frames(run, sources)
-    check_separate(targets, scored)
+    check_separate({f.drive for f in targets}, {f.drive for f in scored}, "drives", sources.allow_leak)
     fitted = laser_frames(sources, targets, run.profile.data.baseline_frames)
     write_training_index(run, sources, targets)
     write_identity(run, sources, targets)
@@ -119,7 +132,7 @@ def prepare(run: Run) -> Prepared:
     if fitted:
         _export(run, sources, fitted, "baseline_truth.npz")
     write_json(run.prepared / "test_frames.json", {"listed": listed, "frames": [list(frame) for frame in scored]})
-    return Prepared(len(targets), len(scored), listed, len(fitted))
+    return Prepared(len(targets), len(scored), listed, len(fitted), write_odometry(run, sources))
 
 
 def _export(run: Run, sources: Sources, frames: list[Frame], name: str) -> None:
@@ -133,12 +146,11 @@ def main(argv: list[str] | None = None) -> int:
     """Run the command line."""
     parser = argparse.ArgumentParser(description="Find or make a profile's data and prepare them.")
     parser.add_argument("--profile", default="tiny", help="tiny, miniature, sample, paper, or a YAML file (default: %(default)s)")
-    parser.add_argument("--kitti-root", default="", metavar="DIR", help="folder that holds 2011_09_26 and the other days; else downloaded")
-    parser.add_argument("--test-list", default="", metavar="FILE", help="frames to score instead of the profile's, in the field's format")
+    add_roots(parser)
     arguments = parser.parse_args(argv)
     with exit_on_input_error():
         run = Run(arguments.profile)
-        find_data(run, arguments.kitti_root, arguments.test_list)
+        find_data(run, **{name: getattr(arguments, name) for name in (*ROOTS, "allow_leak")})
         done = prepare(run)
         print(f"{run.prepared}: {done.triplets} triplets, {done.scored} of {done.listed} frames to score")
     return 0

@@ -6,6 +6,7 @@ from typing import NoReturn
 
 from dualdepth import __version__
 from dualdepth.commands.evaluate_depth import add_evaluate_depth
+from dualdepth.commands.evaluate_odometry import add_evaluate_odometry
 from dualdepth.commands.reproduce import add_notebook, add_reproduce
 from dualdepth.commands.train import add_train
 from dualdepth.errors import exit_on_input_error
@@ -28,6 +29,7 @@ def build_parser() -> argparse.ArgumentParser:
     evaluate = commands.add_parser("evaluate", help="score predictions by the field's protocols")
     kinds = evaluate.add_subparsers(title="what to evaluate", metavar="KIND", required=True)
     add_evaluate_depth(kinds)
+    add_evaluate_odometry(kinds)
     add_reproduce(commands)
     add_train(commands)
     add_notebook(commands)

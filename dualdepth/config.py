@@ -8,7 +8,7 @@ import functools
 import hashlib
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import yaml
 from pydantic import BaseModel, Field, ValidationError, model_validator
@@ -25,6 +25,8 @@ class Profile(Settings):
     name: str
     about: str
     """One sentence for tables and reports: what the numbers of this profile are numbers of."""
+    verdicts: Literal["none", "directions", "numbers"] = "none"
+    """What the report judges: nothing, the direction of the paper's claims, or its numbers as well."""
     seeds: list[Annotated[int, Field(ge=0)]] = Field([0], min_length=1)
     world: World | None = None
     data: Data
@@ -51,6 +53,8 @@ class Profile(Settings):
                 raise ValueError(f"train: {name} starts from {start}, which is not trained; name it too")
             if start is not None and self.variant(start).network != "lr":
                 raise ValueError(f"train: {name} starts from {start}, which is no variant of stage 1")
+            if start is not None and self.variant(start).trains_on != self.variant(name).trains_on:
+                raise ValueError(f"train: {name} starts from {start}, which is trained on {self.variant(start).trains_on} frames: a leak")
         return self
 
     def variant(self, name: str) -> Variant:
@@ -64,6 +68,16 @@ class Profile(Settings):
             near = difflib.get_close_matches(name, known, n=1, cutoff=0.0)[0]
             raise InputError(f"variant {name!r} is unknown; did you mean {near}? There are {', '.join(known)}")
         return known[name]
+
+    def trained_on(self, what: str) -> list[str]:
+        """The variants to train on frames of the depth tables (`depth`) or of the odometry table (`odometry`)."""
+        return [name for name in self.train if self.variant(name).trains_on == what]
+
+    def odometry_sequences(self) -> tuple[list[str], list[str]]:
+        """Odometry sequences to train on and to score."""
+        if self.world is None:
+            return self.data.odometry_train, self.data.odometry_test
+        return [f"{n:02d}" for n in range(self.world.odometry_train)], [f"{9 + n:02d}" for n in range(self.world.odometry_test)]
 
     def of_variant(self, name: str) -> "Profile":
         """The profile as a variant trains with it: its own settings and those of `train` put in.

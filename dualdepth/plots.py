@@ -203,3 +203,22 @@ def cost_bars(costs: pd.DataFrame) -> Picture:
     right.set_title(f"milliseconds an image on {costs['device'].iloc[0]}", fontsize=9, loc="left")
     right.legend(fontsize=7)
     return figure
+
+
+def trajectories(paths: dict[str, dict[str, np.ndarray]]) -> Picture:
+    """Trajectories seen from above, a panel a sequence: x to the right and z up, in metres, at equal scale.
+
+    Args:
+        paths: positions (N, 3) by sequence and method; a sequence's first method is the truth, drawn in black.
+    """
+    figure = Picture(figsize=(5 * len(paths), 4.5), layout="constrained")
+    for axes, (title, methods) in zip(figure.subplots(1, len(paths), squeeze=False)[0], paths.items()):
+        for number, (method, positions) in enumerate(methods.items()):
+            style = {"color": "black", "linewidth": 2} if number == 0 else {"color": f"C{number - 1}", "linewidth": 1.2}
+            axes.plot(positions[:, 0], positions[:, 2], label=method, **style)
+        axes.plot(0, 0, "o", color="black", markersize=5)
+        axes.set(title=title, xlabel="x in metres", ylabel="z in metres", aspect="equal")
+        axes.set_adjustable("datalim")
+        axes.grid(color="0.9")
+    figure.axes[0].legend(frameon=False, fontsize="small")
+    return figure

@@ -15,7 +15,9 @@ from dualdepth.data.augmentation import resize
 from dualdepth.data.kitti import read_image
 from dualdepth.data.loading import low_resolution, to_unit
 from dualdepth.errors import InputError
+from dualdepth.geometry import pose_matrix
 from dualdepth.networks.architecture import Architecture
+from dualdepth.networks.pose_net import PoseNet
 
 
 class DepthNet(NamedTuple):
@@ -74,6 +76,61 @@ def predict_disparities(
             maps.append(net(images.to(device), scales=1).disparities[0][:, 0].float().cpu().numpy())
             bar.update(len(batch))
     return np.concatenate(maps)
+
+
+class PoseModel(NamedTuple):
+    """A PoseNet in eval mode and the size of the frames that it expects."""
+
+    net: PoseNet
+    hr_size: tuple[int, int]
+
+
+def load_pose_net(weights: str | Path) -> PoseModel:
+    """The PoseNet of a training.
+
+    Raises:
+        InputError: the weights or their card cannot be read or do not fit.
+    """
+    card, net = load_card(weights), PoseNet()
+    if "hr_size" not in card:
+        raise InputError(f"{Path(weights).with_suffix('.json')}: names no frame size; keep the card that was written with it")
+    load_weights(weights, net, prefix="pose_net.")
+    return PoseModel(net.eval(), tuple(card["hr_size"]))
+
+
+@torch.inference_mode()
+def predict_poses(model: PoseModel, paths: Sequence[str | Path], *, device: str | torch.device = "cpu", batch_size: int = 16) -> np.ndarray:
+    """Motions between the neighbouring frames of a sequence; each frame is decoded once.
+
+    Args:
+        model: from `load_pose_net`.
+        paths: N ≥ 3 consecutive frames.
+        device: where to compute.
+        batch_size: targets at a time.
+
+    Returns:
+        (N − 2, 2, 4, 4) float64: for each frame but the first and last, as target, the pose that maps its coordinates to the previous
+        frame's and to the next frame's; translations in units of the predicted depth.
+
+    Raises:
+        InputError: fewer than three frames.
+    """
+    if len(paths) < 3:
+        raise InputError(f"{len(paths)} frames: PoseNet sees three at a time")
+    net, hr_size = model.net.to(device), model.hr_size
+    frames: list[torch.Tensor] = []
+    poses = []
+    with tqdm(total=len(paths), desc="predicting poses", unit="image") as bar:
+        for number, path in enumerate(paths, 1):
+            image = to_unit(torch.from_numpy(resize(read_image(path), hr_size).transpose(2, 0, 1).copy()))
+            frames.append(low_resolution(image[None, None])[0, 0])
+            if len(frames) == batch_size + 2 or number == len(paths):
+                views = [torch.stack([frames[i], frames[i - 1], frames[i + 1]]) for i in range(1, len(frames) - 1)]
+                if views:
+                    poses.append(pose_matrix(net(torch.stack(views).to(device)).double()).cpu())
+                frames = frames[-2:]
+            bar.update()
+    return torch.cat(poses).numpy()
 
 
 def _batches(paths: Sequence[str | Path], size: int) -> Iterable[Sequence[str | Path]]:

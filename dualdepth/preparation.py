@@ -1,7 +1,7 @@
 """From the profile to prepared data: where the frames are, which are trained on, which are scored."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from dualdepth.atomic import write_json
 from dualdepth.data.kitti import Frame, check_root, image_path, read_frame_list, read_static_frames, read_test_scenes, velodyne_path
+from dualdepth.data.odometry import check_odometry_root, frame_files, poses_path, sequence_of, write_odometry_index
 from dualdepth.data.triplets import drive_triplets, missing_neighbours, name_missing, write_targets
 from dualdepth.errors import InputError
 from dualdepth.results import Run, file_digest
@@ -101,12 +102,34 @@ def write_identity(run: Run, sources: Sources, targets: Sequence[Frame]) -> Path
     return path
 
 
-def check_separate(train: Sequence[Frame], test: Sequence[Frame]) -> None:
-    """Refuse to score frames of a drive that is trained on.
+def write_odometry(run: Run, sources: Sources) -> int:
+    """Write `prepared/odometry.csv` with the odometry variants' triplets and return their number; nothing where there are no such.
 
     Raises:
-        InputError: naming the drives.
+        InputError: a sequence to train on or to score is not there, or is both.
     """
-    shared = sorted({f.drive for f in train} & {f.drive for f in test})
-    if shared:
-        raise InputError(f"drives {', '.join(shared)} are both trained on and scored: take them out of train_drives or of the test list")
+    path = run.prepared / "odometry.csv"
+    path.unlink(missing_ok=True)
+    if sources.odometry_root is None or not run.profile.trained_on("odometry"):
+        return 0
+    root, (train, test) = check_odometry_root(sources.odometry_root), run.profile.odometry_sequences()
+    for entry in test:
+        frame_files(root, entry)
+        if not (path_of := poses_path(root, entry)).is_file():
+            raise InputError(f"{path_of}: the true poses of sequence {entry}, which is to be scored, are missing; download them first")
+    check_separate([sequence_of(e)[0] for e in train], [sequence_of(e)[0] for e in test], "sequences", sources.allow_leak)
+    return write_odometry_index(path, root, train)
+
+
+def check_separate(train: Iterable[str], test: Iterable[str], what: str, allow_leak: bool) -> None:
+    """Refuse to score drives or sequences that are trained on, unless it is allowed.
+
+    Raises:
+        InputError: naming them.
+    """
+    shared = sorted(set(train) & set(test))
+    if shared and not allow_leak:
+        raise InputError(
+            f"{what} {', '.join(shared)} are both trained on and scored: take them out of the training or of the test list,"
+            " or give --allow-leak (make reproduce ALLOW_LEAK=1), which marks the results"
+        )

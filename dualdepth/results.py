@@ -27,7 +27,7 @@ CODE = {
     "world": ("data_scripts.make_miniature", "data_scripts.miniature", "data_scripts.prepare_data", "preparation", "data.sources"),
     "prepare": (
         *("data_scripts.prepare_data", "data_scripts.export_depth", "preparation"),
-        *("data.kitti", "data.triplets", "data.lidar", "data.depth_maps"),
+        *("data.kitti", "data.triplets", "data.lidar", "data.depth_maps", "data.odometry"),
     ),
     "train_lr": (
         *("networks.encoders", "networks.decoder", "networks.lr_net", "networks.pose_net", "geometry", "losses", "stages", "training"),
@@ -35,6 +35,7 @@ CODE = {
         *("data.augmentation", "data.loading", "data.kitti", "data.triplets"),
     ),
     "train_hr": ("networks.hr_net", "networks.attention", "networks.dual_net", "networks.architecture", "hr_stage"),
+    "odometry": ("data.odometry",),
     "predict": (
         *("predict", "scoring", "networks", "evaluation.depth", "evaluation.baselines"),
         *("data.augmentation", "data.loading", "data.kitti", "data.depth_maps"),
@@ -88,16 +89,22 @@ class Run:
     def settings_digest(self, variant: str) -> str:
         """Digest of the settings that shape a variant's weights; how it is logged and loaded is not among them."""
         chosen, profile = self.profile.variant(variant), self.profile.of_variant(variant)
-        network = chosen.model_dump_json(exclude={"label", "about", "set"})
+        network = chosen.model_dump_json(exclude={"label", "about", "set", "trains_on"})
         return _short_digest(network, profile.digest("data.hr_size", f"training.{chosen.stage}", *_SHAPING))
 
     def training_code(self, variant: str) -> str:
         """Digest of the code that shapes a variant's weights."""
-        return code_digest("train_lr") if self.profile.variant(variant).stage == "lr" else code_digest("train_lr", "train_hr")
+        chosen = self.profile.variant(variant)
+        return code_digest("train_lr", *["train_hr"] * (chosen.stage == "hr"), *["odometry"] * (chosen.trains_on == "odometry"))
+
+    def index(self, variant: str) -> Path:
+        """The prepared triplets that a variant trains on (notebook 02)."""
+        return self.prepared / {"depth": "triplets.csv", "odometry": "odometry.csv"}[self.profile.variant(variant).trains_on]
 
     def recipe(self, variant: str, seed: int) -> str:
         """Digest of all that shapes a training's weights, its own seed aside: settings, code, prepared triplets, stage 1's weights."""
-        data = [file_digest(self.require(self.prepared / name, "02_prepare_data")) for name in ("triplets.csv", "identity.json")]
+        files = (self.index(variant), self.prepared / "identity.json")
+        data = [file_digest(self.require(path, "02_prepare_data")) for path in files]
         start = self.profile.variant(variant).starts_from
         data += [file_digest(self.weights(start, seed))] if start else []
         return _short_digest(self.settings_digest(variant), self.training_code(variant), str(data))

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pandas as pd
 import torch
@@ -13,6 +12,7 @@ import torch
 from dualdepth.atomic import atomic_path, write_json, write_text
 from dualdepth.data.depth_maps import DepthMaps, load_ground_truth
 from dualdepth.data.kitti import Frame, image_path
+from dualdepth.data.label_maps import label_path, read_label_map
 from dualdepth.evaluation import baselines
 from dualdepth.evaluation.depth import evaluate, resized, summary
 from dualdepth.networks.architecture import Architecture
@@ -53,10 +53,9 @@ def dense_truth(run: Run, image: int) -> np.ndarray | None:
 
 
 def label_map(run: Run, image: int) -> np.ndarray | None:
-    """Cityscapes training ids (H, W) of a scored image: the synthetic world has them."""
-    frame = scored_frames(run)[image]
-    path = run.work / "miniature" / "labels" / frame.drive.split("/")[-1] / f"{frame.index:010d}.png"
-    return cv2.imread(str(path), cv2.IMREAD_UNCHANGED) if run.profile.world else None
+    """Cityscapes training ids (H, W) of a scored image, or None where the run has no label maps; the synthetic world has them."""
+    root = Sources.load(run).labels_root
+    return read_label_map(label_path(root, scored_frames(run)[image])) if root else None
 
 
 def score_training(run: Run, variant: str, seed: int) -> pd.DataFrame:

@@ -84,6 +84,10 @@ class Data(Settings):
     """Name of a list (`eigen_test`) or path of a file with the frames to score."""
     allow_missing: bool = False
     """Score what is there of an incomplete test list, and say "25 of 697" in the table."""
+    odometry_train: list[str] = [f"{number:02d}" for number in range(9)]
+    """Odometry sequences to train on, with `:image_0` for another camera than image_2; the paper's. The synthetic world has its own."""
+    odometry_test: list[str] = ["09", "10"]
+    """Odometry sequences to score; the paper's. The synthetic world has its own."""
     hr_size: Size = (384, 1248)
     """Input of HR-Net; LR-Net sees exactly a third of it (paper, section "Dual Network Architecture")."""
 
@@ -124,8 +128,8 @@ class Loss(Settings):
     photometric: float = 1.0
     """λ1."""
     smoothness: float = 0.03
-    """λ2, halved at each coarser scale; acts on mean-normalised inverse depth. GeoNet has 0.5, monodepth2 0.001; of 0.01, 0.03 and 0.1 the best
-    for LR-Net by Abs Rel and δ<1.25 in the synthetic world."""
+    """λ2, halved at each coarser scale; acts on mean-normalised inverse depth. GeoNet has 0.5, monodepth2 0.001; of 0.01, 0.03 and 0.1 the
+    best for LR-Net by Abs Rel and δ<1.25 in the synthetic world."""
     feature: float = 0.01
     """λ3; small, since learned features can shrink to please it; 0 switches the loss off (the paper argues for it)."""
     alpha: float = 0.85
@@ -203,6 +207,9 @@ class Variant(Settings):
     link: Literal["attention", "embedding", "direct"] = "attention"
     similarity: Literal["dot", "cosine", "l1", "l2"] = "dot"
     normalise: Literal["none", "mean", "softmax"] = "none"
+    trains_on: Literal["depth", "odometry"] = "depth"
+    """`depth`: the drives of the depth tables; `odometry`: sequences of the odometry table, since each one's test drives are trained on
+    by the other."""
     starts_from: str | None = None
     """The variant of stage 1 whose LR-Net is frozen inside and whose PoseNet goes on; of `hr` only PoseNet."""
     set: dict[str, Any] = Field({})

@@ -8,7 +8,9 @@ from dualdepth.atomic import write_text
 from dualdepth.building import architecture, check_start, make_stage
 from dualdepth.checkpoints import load_card
 from dualdepth.config import Profile
-from dualdepth.data.triplets import load_triplets, read_targets
+from dualdepth.data.odometry import drives_of, load_odometry_triplets
+from dualdepth.data.triplets import Triplet, load_triplets, read_targets
+from dualdepth.errors import InputError
 from dualdepth.preparation import Sources
 from dualdepth.results import Run
 from dualdepth.sections import Variant
@@ -23,7 +25,7 @@ def train_variant(run: Run, name: str, seed: int) -> Path:
             triplets; a bad frame.
     """
     variant, profile = run.profile.variant(name), run.profile.of_variant(name)
-    index = run.require(run.prepared / "triplets.csv", "02_prepare_data")
+    triplets, drives = training_data(run, name)
     start = start_weights(run, variant, seed)
     if start:
         check_start(start, profile, variant)
@@ -35,13 +37,29 @@ def train_variant(run: Run, name: str, seed: int) -> Path:
         lambda settings: make_stage(settings, variant, start),
         getattr(profile.training, variant.stage),
         profile,
-        load_triplets(index, Sources.load(run).kitti_root),
+        triplets,
         run.training(name, seed),
         seed=seed,
         recipe=recipe,
-        card=_card(run, name, profile, index, start),
+        card=_card(run, name, profile, len(triplets), drives, start),
     )
     return _mark(weights)
+
+
+def training_data(run: Run, name: str) -> tuple[list[Triplet], list[str]]:
+    """Prepared triplets of a variant, and the drives that they are of.
+
+    Raises:
+        InputError: they are not prepared, or there are no odometry sequences.
+    """
+    sources, odometry = Sources.load(run), run.profile.variant(name).trains_on == "odometry"
+    if odometry and sources.odometry_root is None:
+        raise InputError(f"variant {name} needs ODOMETRY_ROOT; get it with python data_scripts/download_kitti.py --root DIR --odometry")
+    index = run.require(run.index(name), "02_prepare_data")
+    if not odometry:
+        return load_triplets(index, sources.kitti_root), sorted({frame.drive for frame, _ in read_targets(index)})
+    triplets, sequences = load_odometry_triplets(index, sources.odometry_root)
+    return triplets, drives_of(sequences, world=run.profile.world is not None)
 
 
 def start_weights(run: Run, variant: Variant, seed: int) -> Path | None:
@@ -71,16 +89,16 @@ def _mark(weights: Path) -> Path:
     return weights
 
 
-def _card(run: Run, name: str, profile: Profile, index: Path, start: Path | None) -> dict[str, Any]:
-    targets, variant = read_targets(index), run.profile.variant(name)
+def _card(run: Run, name: str, profile: Profile, triplets: int, drives: list[str], start: Path | None) -> dict[str, Any]:
+    variant = run.profile.variant(name)
     before = load_card(start) if start else None
     return {
         "variant": name,
-        "about": f"{variant.about}, trained on {len(targets)} triplets: {run.profile.about}",
+        "about": f"{variant.about}, trained on {triplets} triplets: {run.profile.about}",
         **architecture(variant, profile).words(),
         "hr_size": list(profile.data.hr_size),
         "pretrained": _pretrained(variant, profile, before),
-        "drives": sorted({frame.drive for frame, _ in targets} | set(before["drives"] if before else ())),
+        "drives": sorted(set(drives) | set(before["drives"] if before else ())),
         "starts_from": {k: before[k] for k in ("variant", "seed", "steps", "sha256")} if before else None,
-        "stamp": run.stamp([index, *([start] if start else [])]),
+        "stamp": run.stamp([run.index(name), *([start] if start else [])]),
     }

@@ -36,3 +36,18 @@ def write_drive(root, frames, drive=DRIVE, size=(208, 208), camera="image_02", s
     canvas = wall(size[0], size[1] + SHIFT * (max(frames) + 1))
     for i in frames:
         cv2.imwrite(str(folder / f"{i:010d}{suffix}"), canvas[:, SHIFT * i : SHIFT * i + size[1], ::-1])
+
+
+def write_sequence(root, name, frames, camera="image_2", size=(208, 208), calibration="calib.txt"):
+    """An odometry sequence with the given frame numbers, its calibration, and true poses that go a metre a frame sideways."""
+    folder = Path(root) / "sequences" / name
+    (folder / camera).mkdir(parents=True, exist_ok=True)
+    canvas = wall(size[0], size[1] + SHIFT * (max(frames) + 1), seed=int(name))
+    for i in frames:
+        cv2.imwrite(str(folder / camera / f"{i:06d}.png"), canvas[:, SHIFT * i : SHIFT * i + size[1], ::-1])
+    numbers = "220 0 104 0 0 221 103 0 0 0 1 0"
+    named = calibration == "calib.txt"
+    (folder / calibration).write_text("".join(f"{f'P{k}: ' if named else ''}{numbers}\n" for k in range(4 if named else 2)))
+    poses = Path(root) / "poses" / f"{name}.txt"
+    poses.parent.mkdir(exist_ok=True)
+    poses.write_text("".join(f"1 0 0 {k} 0 1 0 0 0 0 1 0\n" for k in range(max(frames) + 1)))

@@ -15,11 +15,12 @@ words = " ".join(sys.argv)
 out = pathlib.Path(sys.argv[sys.argv.index("--out") + 1])
 name, profile = sys.argv[2], out.parts[1]
 seed, variant = (re.search(key + r"=(\\S+)", words) for key in ("seed", "variant"))
-table = {{"05_table_main": "main", "07_table_ablation": "ablation", "08_table_distance": "distance",
-         "09_table_sharpness": "sharpness", "11_table_backbone": "backbone"}}.get(name)
+table = name.partition("table_")[2]
 made = {{
+    "14_report": ["results/{{p}}/report.html"],
     "01_download_data": ["work/{{p}}/sources.json"],
-    "02_prepare_data": ["work/{{p}}/prepared/" + n for n in ("triplets.csv", "identity.json", "test_frames.json", "ground_truth.npz")],
+    "02_prepare_data": ["work/{{p}}/prepared/" + n for n in (
+        "triplets.csv", "identity.json", "test_frames.json", "ground_truth.npz", "odometry.csv")],
     "03_train_lr": ["work/{{p}}/runs/{{v}}/seed{{s}}/trained.json"],
     "04_train_hr": ["work/{{p}}/runs/{{v}}/seed{{s}}/trained.json"],
 }}.get(name, ["results/{{p}}/tables/" + table + end for end in (".csv", ".json")] if table else [])
@@ -29,7 +30,7 @@ for path in [out, *(pathlib.Path(m.format(p=profile, s=seed and seed[1], v=varia
 with open("ran.txt", "a") as log:
     log.write(" ".join([name, *([variant[1], "seed", seed[1]] if seed else [])]) + "\\n")
 """
-TABLES = ["05_table_main", "07_table_ablation", "08_table_distance", "09_table_sharpness", "11_table_backbone", "13_figures"]
+TABLES = sorted([path.stem for path in (project_root() / "notebooks").glob("*_table_*.ipynb")] + ["13_figures", "14_report"])
 PROFILE = """about: a test
 world: {}
 data: {source: miniature}
@@ -114,3 +115,28 @@ def test_a_profile_that_trains_stage_1_alone_has_its_tables(chain):
     ran = chain(change=("train: {lr: , dual: , resnet18: }", "train: {lr: }"))
     assert [name for name in ran if name.startswith(("03", "04"))] == trainings(0)[:1]
     assert set(TABLES) <= set(ran)
+
+
+ODOMETRY = ("train: {lr: , dual: , resnet18: }", "train: {lr: , odometry_lr: }")
+KITTI = ("world: {}\ndata: {source: miniature}", "data: {source: kitti, train_drives: [d]}")
+
+
+def test_odometry_is_trained_on_triplets_of_its_own(chain, tmp_path):
+    chain(change=ODOMETRY)
+    weights = tmp_path / "work/own/runs/odometry_lr/seed0/trained.json"
+    assert weights.exists()
+    (tmp_path / "work/own/prepared/odometry.csv").write_text("others")
+    assert {"03_train_lr odometry_lr seed 0", "12_table_odometry"} <= set(chain()) and "03_train_lr lr seed 0" not in chain()
+
+
+def test_without_its_folder_odometry_is_not_trained_but_has_its_table(chain, tmp_path):
+    profile = tmp_path / "own.yaml"
+    profile.write_text(profile.read_text().replace(*KITTI))
+    ran = chain(change=ODOMETRY)
+    assert [name for name in ran if name.startswith("03")] == ["03_train_lr lr seed 0"] and "12_table_odometry" in ran
+    assert "03_train_lr odometry_lr seed 0" in chain("odometry_root=/somewhere")
+
+
+def test_every_notebook_is_in_the_chain(chain):
+    named = {path.stem for path in (project_root() / "notebooks").glob("*.ipynb")}
+    assert named == {line.split()[0] for line in chain()}

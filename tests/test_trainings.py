@@ -10,11 +10,12 @@ import pytest
 import torch
 from accelerate.state import AcceleratorState
 from safetensors.torch import load_file
-from small_kitti import DRIVE, write_calibration, write_drive
+from small_kitti import DRIVE, write_calibration, write_drive, write_sequence
 
 from dualdepth import trainings
 from dualdepth.building import make_stage
 from dualdepth.checkpoints import load_card, load_checkpoint
+from dualdepth.data.odometry import write_odometry_index
 from dualdepth.data.triplets import drive_triplets
 from dualdepth.errors import InputError
 from dualdepth.hr_stage import HRStage
@@ -56,7 +57,7 @@ def backbones(tmp_path_factory):
 def run_in(backbones):
     """A run in a folder that looks like a checkout, with changes of its profile."""
 
-    def make(root, encoder=backbones.usual, hr_size=(192, 192), lr=None):
+    def make(root, encoder=backbones.usual, hr_size=(192, 192), lr=None, train=None):
         values = {
             "about": "a test",
             "data": {"source": "kitti", "train_drives": [DRIVE], "hr_size": hr_size},
@@ -65,7 +66,7 @@ def run_in(backbones):
                 "lr": lr or {"batch_size": 1, "max_steps": 2},
                 "hr": {"batch_size": 1, "epochs": 1},
             },
-            "train": {"lr": None, "dual": None, "dual_no_sa": None, "hr_only": ONE_STEP, "one_network": ONE_STEP},
+            "train": train or {"lr": None, "dual": None, "dual_no_sa": None, "hr_only": ONE_STEP, "one_network": ONE_STEP},
             "variants": {"one_network": {"label": "one", "about": "one network", "network": "single"}},
         }
         (root / "notebooks").mkdir(exist_ok=True)
@@ -381,3 +382,20 @@ def test_stage_1_of_another_seed_does_not_do(after_stage_1):
 def test_an_unknown_variant_is_an_error_that_names_the_nearest(trained):
     with pytest.raises(InputError, match=r"^variant 'duel' is unknown; did you mean dual\? There are lr, dual, .*one_network$"):
         train_variant(trained, "duel", 0)
+
+
+def test_odometry_is_trained_on_its_own_triplets_and_names_the_raw_drives(trained, run_in, tmp_path):
+    run = run_in(tmp_path, train={"lr": None, "odometry_lr": None, "odometry_dual": None})
+    shutil.copytree(trained.prepared, run.prepared)
+    write_sequence(tmp_path / "odometry", "02", range(4))
+    sources = Sources.load(trained)._replace(odometry_root=tmp_path / "odometry")
+    sources.save(run)
+    with pytest.raises(InputError, match=r"odometry\.csv is missing: run notebook 02"):
+        train_variant(run, "odometry_lr", 0)
+    write_odometry_index(run.index("odometry_lr"), sources.odometry_root, ["02"])
+    for name in ("odometry_lr", "odometry_dual"):
+        card = load_card(train_variant(run, name, 0))
+        assert card["drives"] == ["2011_10_03/2011_10_03_drive_0034_sync"] and "on 2 triplets" in card["about"]
+    sources._replace(odometry_root=None).save(run)
+    with pytest.raises(InputError, match="odometry_lr needs ODOMETRY_ROOT"):
+        train_variant(run, "odometry_lr", 0)

@@ -2,6 +2,8 @@
 
 import argparse
 
+from dualdepth.commands.shared import add_leak_guard, leak_of, report
+
 
 def add_evaluate_depth(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Add the subcommand `depth`; the first choice of each option is the default and the field's standard."""
@@ -30,6 +32,7 @@ def add_evaluate_depth(commands: "argparse._SubParsersAction[argparse.ArgumentPa
         help="pixels that count: ground truth between the depths, or all above 0, as for the improved ground truth (default: %(default)s)",
     )
     parser.add_argument("--allow-pickle", action="store_true", help="read the field's pickled gt_depths.npz; only from a source you trust")
+    add_leak_guard(parser, "--list", "FILE", "list of the frames, as given to data_scripts/export_depth.py")
     parser.add_argument("--json", metavar="OUT", help="write the numbers as flat JSON to a file, or with - to standard output alone")
     parser.set_defaults(run=run)
 
@@ -43,6 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
     from tqdm import tqdm
 
     from dualdepth.data.depth_maps import load_ground_truth
+    from dualdepth.data.kitti import read_frame_list
     from dualdepth.errors import InputError
     from dualdepth.evaluation.depth import Protocol, evaluate, summary
     from dualdepth.evaluation.predictions import load_predictions
@@ -57,6 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
         "valid": arguments.valid,
     }
     Protocol(**protocol)
+    leak = leak_of(arguments, arguments.list, "--list", lambda path: sorted({frame.drive for frame in read_frame_list(path)}))
     predictions = load_predictions(arguments.pred)
     ground_truths = load_ground_truth(arguments.gt, allow_pickle=arguments.allow_pickle)
     if len(predictions) != len(ground_truths):
@@ -67,29 +72,5 @@ def run(arguments: argparse.Namespace) -> int:
     # shown in a terminal only: a bar in a pipe would break the one-line error
     shown = tqdm(ground_truths, "scoring", unit="image", disable=None, leave=False)
     result = summary(evaluate(predictions, shown, name=arguments.pred, **protocol))
-    report(result, arguments.json)
+    report(result | leak, arguments.json)
     return 0
-
-
-def report(result: dict[str, float | int], json_out: str | None) -> None:
-    """Print `result` as a table, and write it as JSON where `json_out` says; `-` prints the JSON alone.
-
-    Raises:
-        InputError: the JSON file cannot be written.
-    """
-    import json
-
-    from dualdepth.atomic import write_json
-    from dualdepth.errors import InputError
-
-    if json_out == "-":
-        print(json.dumps(result, allow_nan=False))
-        return
-    if json_out:
-        try:
-            write_json(json_out, result)
-        except OSError as error:
-            raise InputError(f"{json_out}: cannot write the result ({error.strerror})") from None
-    width = max(len(name) for name in result)
-    for name, value in result.items():
-        print(f"{name:<{width}}  {value:.4f}" if isinstance(value, float) else f"{name:<{width}}  {value}")

@@ -2,16 +2,29 @@
 
 import argparse
 
-ROOTS = ("kitti_root", "test_list")
+ROOTS = {
+    "kitti_root": "folder that holds 2011_09_26 and the other days; else what the profile needs is downloaded",
+    "test_list": "frames to score instead of the profile's, in the field's format",
+    "odometry_root": "folder that holds KITTI odometry's sequences and poses",
+    "make3d_root": "folder that holds Make3D's Test134 and Gridlaserdata",
+    "labels_root": "folder of label maps, as data_scripts/export_labels.py writes them",
+}
 """Where a user's own data are: handed to notebook 01."""
+
+
+def add_roots(parser: argparse.ArgumentParser) -> None:
+    """Add the options that say where the data are."""
+    for name, meaning in ROOTS.items():
+        kind = "FILE" if name == "test_list" else "DIR"
+        parser.add_argument(f"--{name.replace('_', '-')}", default="", metavar=kind, help=meaning)
+    parser.add_argument("--allow-leak", action="store_true", help="score even drives that were trained on, and mark the results")
 
 
 def add_reproduce(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Add the subcommand `reproduce`."""
     parser = commands.add_parser("reproduce", help="run all notebooks of a profile in order, and only what is not done yet")
     parser.add_argument("--profile", default="tiny", help="tiny, miniature, sample, paper, or a YAML file (default: %(default)s)")
-    parser.add_argument("--kitti-root", default="", metavar="DIR", help="folder that holds 2011_09_26 and the other days")
-    parser.add_argument("--test-list", default="", metavar="FILE", help="frames to score instead of the profile's, in the field's format")
+    add_roots(parser)
     parser.add_argument("--seeds", default="", metavar="0,1,2", help="seeds to train instead of the profile's")
     parser.add_argument("--cores", default="all", help="cores Snakemake may use (default: %(default)s)")
     parser.add_argument("snakemake", nargs="*", metavar="-- OPTION", help="after --: options for Snakemake, such as --executor slurm")
@@ -39,6 +52,7 @@ def reproduce(arguments: argparse.Namespace) -> int:
     from pathlib import Path
 
     from dualdepth.data.kitti import check_root, read_frame_list
+    from dualdepth.data.odometry import check_odometry_root
     from dualdepth.errors import InputError
     from dualdepth.lock import locked
     from dualdepth.results import Run
@@ -51,9 +65,12 @@ def reproduce(arguments: argparse.Namespace) -> int:
         check_root(arguments.kitti_root)
     if arguments.test_list:
         read_frame_list(arguments.test_list)
+    if arguments.odometry_root:
+        check_odometry_root(arguments.odometry_root)
     for name in ROOTS:
         given = getattr(arguments, name)
         config[name] = str(Path(given).resolve()) if given else ""
+    config["allow_leak"] = int(arguments.allow_leak)
     settings = [f"{k}={v}" for k, v in config.items()]
     command = [sys.executable, "-m", "snakemake", "--cores", arguments.cores, "--nolock", "--rerun-incomplete", "--quiet", "all"]
     if shutil.which("nvidia-smi"):

@@ -1,9 +1,12 @@
-"""Where KITTI and the field's lists live in public: nothing else is ever downloaded.
+"""Where KITTI, Make3D and the field's lists live in public: nothing else is ever downloaded.
 
 KITTI: A. Geiger, P. Lenz, C. Stiller, R. Urtasun, "Vision meets Robotics: The KITTI Dataset", IJRR 2013 (CC BY-NC-SA 3.0).
 Improved depth: J. Uhrig et al., "Sparsity Invariant CNNs", 3DV 2017.
+Make3D: A. Saxena, M. Sun, A. Y. Ng, "Make3D: Learning 3D Scene Structure from a Single Still Image", IEEE PAMI 2009
+(make3d.cs.cornell.edu/data.html).
 """
 
+import fnmatch
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,6 +19,7 @@ from dualdepth.data.kitti import read_frame_list
 from dualdepth.errors import InputError
 
 KITTI_HOME = "https://s3.eu-central-1.amazonaws.com/avg-kitti/"
+MAKE3D_HOME = "https://www.cs.cornell.edu/~asaxena/learningdepth/"
 LISTS_HOME = "https://raw.githubusercontent.com/"
 CAMERAS = ("image_00", "image_01", "image_02", "image_03")
 DATES = ("2011_09_26", "2011_09_28", "2011_09_29", "2011_09_30", "2011_10_03")
@@ -119,6 +123,34 @@ IMPROVED_DEPTH = Archive(
     "depth_annotated",
     digest="md5:7d1ce32633dc2f43d9d1656a1f875e47",
 )
+
+
+class PhotoArchive(NamedTuple):
+    """One of the two archives of Make3D's test set (gzipped tar; no checksum of it is published)."""
+
+    name: str
+    """File name, and address relative to `MAKE3D_HOME`."""
+    folder: str
+    """Folder below the root that its files go to, however the archive nests them."""
+    members: str
+    """Pattern of the file names that are kept."""
+
+    @property
+    def marker(self) -> str:
+        """File below the root that is written last, and says that the archive is unpacked and whole."""
+        return f"{self.folder}/.complete.json"
+
+    def place(self, member: str) -> str | None:
+        """Path below the root of a member, or None for what is neither photo nor grid."""
+        name = member.rsplit("/", 1)[-1]
+        return f"{self.folder}/{name}" if fnmatch.fnmatchcase(name, self.members) else None
+
+
+MAKE3D = (
+    PhotoArchive("Test134.tar.gz", "Test134", "img-*.jpg"),
+    PhotoArchive("Test134Depth.tar.gz", "Gridlaserdata", "depth_sph_corr-*.mat"),
+)
+MAKE3D_PHOTOS = 134
 
 
 def drive_archives(drives: Sequence[str]) -> list[Archive]:

@@ -59,6 +59,13 @@ def mean_std(values: Sequence[float] | np.ndarray) -> tuple[float, float]:
     return float(values.mean()), float(values.std(ddof=1)) if values.size > 1 else float("nan")
 
 
+def t_interval(spread: float, seeds: int) -> float:
+    """Half the width of the 95 % t-interval of a mean over `seeds` ≥ 2 values with standard deviation `spread`."""
+    from scipy.stats import t
+
+    return float(t.ppf(0.975, seeds - 1)) * spread / seeds**0.5
+
+
 class Comparison(NamedTuple):
     """Two trained methods over the same images and seeds; the difference is a − b."""
 
@@ -85,9 +92,7 @@ class Comparison(NamedTuple):
         """
         if np.isnan(self.spread):
             return None
-        from scipy.stats import t
-
-        return bool(abs(self.difference) > t.ppf(0.975, self.seeds - 1) * self.spread / self.seeds**0.5)
+        return bool(abs(self.difference) > t_interval(self.spread, self.seeds))
 
 
 def compare(a: Sequence[Sequence[float]], b: Sequence[Sequence[float]], *, seed: int = 0) -> Comparison:

@@ -10,8 +10,9 @@ from dualdepth import paper
 from dualdepth.checkpoints import load_card
 from dualdepth.evaluation.depth import METRICS
 from dualdepth.evaluation.statistics import Comparison, compare, mean_std
+from dualdepth.leaks import check_leak
 from dualdepth.results import Run
-from dualdepth.scoring import score_training, scored_note
+from dualdepth.scoring import score_training, scored_drives, scored_note
 
 Scores = Callable[[Run, str, int], pd.DataFrame]
 """Per-image values of a variant's training with a seed, such as `score_training`."""
@@ -40,14 +41,19 @@ def said_seeds(seeds: Sequence[int]) -> str:
     return " ".join(map(str, seeds))
 
 
-def training_note(run: Run, variant: str, seed: int) -> str:
-    """What a row's training was, from its card: backbone, size, weights it began with, steps; and whether the test list is incomplete."""
+def training_note(run: Run, variant: str, seed: int, *, drives: Sequence[str] | None = None) -> str:
+    """What a row's training was, from its card: backbone, size, weights it began with, steps; an incomplete test list; a leak.
+
+    `drives` are those of the frames that are scored, where they are not the depth tables' frames.
+    """
     card, chosen = load_card(run.weights(variant, seed)), run.profile.variant(variant)
     height, width = run.profile.data.lr_size if chosen.network == "lr" else run.profile.data.hr_size
     before = f" after {card['starts_from']['steps']} of stage 1" if card["starts_from"] else ""
     parts = [card["encoder"]] if chosen.network != "hr" else []
     parts += [f"{height}x{width}", "ImageNet weights" if card["pretrained"] else "no ImageNet weights", f"{card['steps']} steps{before}"]
-    return ", ".join([*parts, "last epoch", *filter(None, [scored_note(run)])])
+    incomplete = scored_note(run) if drives is None else ""
+    leak = check_leak(card, scored_drives(run) if drives is None else drives, allow=True)
+    return ", ".join([*parts, "last epoch", *filter(None, [incomplete, leak])])
 
 
 def with_paper(name: str, rows: Sequence[dict[str, Any]]) -> pd.DataFrame:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_kitti import write_sequence
 
 from data_scripts import prepare_data
 from dualdepth.cli import main as command
@@ -41,7 +42,7 @@ def prepared(project):
 
 
 def test_it_counts_triplets_and_frames_to_score(project):
-    assert prepared(project) == (4, 2, 2, 0)
+    assert prepared(project) == (4, 2, 2, 0, 0)
 
 
 def test_ground_truth_is_in_the_order_of_the_list(project):
@@ -128,7 +129,7 @@ def test_the_sample_profile_on_real_frames(tmp_path):
     (root / "Snakefile").touch()
     run = Run("sample", root)
     prepare_data.find_data(run, str(SHARED / "kitti_raw"), str(SHARED / "splits" / "sample_val.txt"))
-    assert prepare_data.prepare(run) == (266, 28, 28, 0)
+    assert prepare_data.prepare(run) == (266, 28, 28, 0, 0)
     density = [np.mean(depth > 0) for depth in load_ground_truth(run.prepared / "ground_truth.npz")]
     assert min(density) > 0.02
 
@@ -145,3 +146,51 @@ def test_grey_frames_are_read_where_a_drive_has_no_colour(tmp_path):
     assert sum(frame.camera == "image_00" for frame in targets) == 400 - 2 - 2
     assert not [f for f in targets if f.camera == "image_00" and abs(f.index - 23) <= 1]
     assert Path(sources.kitti_root).is_dir()
+
+
+@pytest.fixture
+def with_odometry(project, tmp_path):
+    """The project with odometry sequences, and what its profile says of them."""
+    run, kitti, test_list = project
+    root = tmp_path / "odometry"
+    write_sequence(root, "00", range(5))
+    write_sequence(root, "09", range(3))
+
+    def make(train="['00']", test="['09']", trained="odometry_lr: ", allow_leak=False):
+        path = tmp_path / "odo.yaml"
+        data = f"{{source: kitti, train_drives: [{TRAIN}], test_list: {test_list}, odometry_train: {train}, odometry_test: {test}}}"
+        path.write_text(f"about: a test\ndata: {data}\ntrain: {{lr: , {trained}}}\n")
+        run_ = Run(str(path), run.root)
+        prepare_data.find_data(run_, str(kitti), odometry_root=str(root), allow_leak=allow_leak)
+        return run_
+
+    return make, root
+
+
+def test_odometry_triplets_are_written_where_they_are_trained_on(with_odometry):
+    make, _ = with_odometry
+    run = make()
+    assert prepare_data.prepare(run).odometry == 3 and (run.prepared / "odometry.csv").exists()
+    run = make(trained="")
+    assert prepare_data.prepare(run).odometry == 0 and not (run.prepared / "odometry.csv").exists()
+
+
+def test_a_scored_sequence_must_be_there_with_its_poses(with_odometry):
+    make, root = with_odometry
+    with pytest.raises(InputError, match="sequences/10/image_2: no images"):
+        prepare_data.prepare(make(test="['10']"))
+    (root / "poses/09.txt").unlink()
+    with pytest.raises(InputError, match=r"09\.txt: the true poses of sequence 09"):
+        prepare_data.prepare(make())
+
+
+def test_a_sequence_or_drive_that_is_trained_on_is_scored_only_if_allowed(with_odometry):
+    make, _ = with_odometry
+    with pytest.raises(InputError, match=r"sequences 00 are both trained on and scored.*ALLOW_LEAK=1"):
+        prepare_data.prepare(make(test="['00']"))
+    assert prepare_data.prepare(make(test="['00']", allow_leak=True)).odometry == 3
+
+
+def test_the_world_has_its_own_folders_and_takes_no_others(tmp_path):
+    with pytest.raises(InputError, match="ODOMETRY_ROOT and LABELS_ROOT belong to sample"):
+        prepare_data.find_data(Run("tiny", tmp_path), odometry_root="a", labels_root="b")

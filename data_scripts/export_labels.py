@@ -1,0 +1,299 @@
+"""Write label maps (Cityscapes training ids) of a list of KITTI raw images with a pretrained segmentation model of `transformers`.
+
+    python data_scripts/export_labels.py --kitti ROOT --list FILE --out LABELS_ROOT [--model NAME]
+
+One 8-bit PNG of the image's size an image, `<drive>/<frame>.png`, and `labels.json`, which says what made them. The paper used PSPNet.
+"""
+
+import argparse
+import hashlib
+import re
+import sys
+from collections.abc import Iterator, Sequence
+from itertools import groupby
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from PIL import Image
+from tqdm import tqdm
+
+from data_scripts.export_depth import present_frames
+from dualdepth.atomic import atomic_path, write_json
+from dualdepth.data.kitti import check_root, image_path, read_frame_list, read_image
+from dualdepth.data.label_maps import CITYSCAPES, label_path
+from dualdepth.errors import InputError, exit_on_input_error
+from dualdepth.results import file_digest
+
+if TYPE_CHECKING:
+    import torch
+
+MODEL = "nvidia/segformer-b5-finetuned-cityscapes-1024-1024"
+Size = tuple[int, int] | None
+"""(height, width) that images are resized to for the model; None: their own, so that nothing is stretched."""
+
+
+class Segmenter(NamedTuple):
+    """A segmentation model, the processor of its images, and what to call it."""
+
+    model: Any
+    processor: Any
+    facts: dict[str, Any]
+    """For `labels.json`: model, revision, sha256 of its weights as loaded, versions."""
+
+
+def load_segmenter(name: str, *, revision: str = "main", device: str = "cpu", allow_pickle: bool = False) -> Segmenter:
+    """Load a model by hub name or local folder.
+
+    Raises:
+        InputError: it cannot be had or lacks weights, or its classes are not Cityscapes' 19 in the training ids' order.
+    """
+    import pickle
+
+    import transformers
+    from safetensors import SafetensorError
+    from transformers import AutoConfig, AutoImageProcessor, AutoModelForSemanticSegmentation
+
+    transformers.utils.logging.set_verbosity_error()
+    transformers.utils.logging.disable_progress_bar()  # a bar in a pipe would break the one-line error
+    shared = {"revision": revision, "trust_remote_code": False}
+    try:
+        config = AutoConfig.from_pretrained(name, **shared)
+        check_classes(name, config.id2label)
+        processor = AutoImageProcessor.from_pretrained(name, backend="pil", **shared)
+        model, loading = AutoModelForSemanticSegmentation.from_pretrained(
+            name, use_safetensors=None if allow_pickle else True, dtype="float32", output_loading_info=True, **shared
+        )
+    except (OSError, ValueError, KeyError, RuntimeError, ImportError, SafetensorError, pickle.UnpicklingError) as error:
+        mend = "" if allow_pickle else "; weights must be safetensors unless --allow-pickle is given"
+        raise InputError(f"{name}: not a usable segmentation model ({_first_line(error)}){mend}") from None
+    if loading["missing_keys"]:
+        raise InputError(f"{name}: has no weights for {sorted(loading['missing_keys'])[0]}; give a model trained on Cityscapes")
+    facts = {
+        "model": name,
+        "revision": getattr(config, "_commit_hash", None),
+        "weights_sha256": weights_digest(model),
+        "transformers": transformers.__version__,
+    }
+    return Segmenter(model.eval().to(device), processor, facts)
+
+
+def check_classes(name: str, id2label: dict[int, str]) -> None:
+    """Refuse a model whose classes are not the training ids'.
+
+    Raises:
+        InputError: naming the classes.
+    """
+    classes = tuple(str(id2label[i]) for i in sorted(id2label))
+    if tuple(re.sub("[-_]", " ", c.lower()) for c in classes) != CITYSCAPES:
+        shown = ", ".join(classes[: len(CITYSCAPES)]) + ", …" * (len(classes) > len(CITYSCAPES))
+        raise InputError(
+            f"{name}: has the {len(classes)} classes {shown}; needed are Cityscapes' {len(CITYSCAPES)} in order: {', '.join(CITYSCAPES)}"
+        )
+
+
+def weights_digest(model: "torch.nn.Module") -> str:
+    """sha256 of all weights by name, however they are stored in files."""
+    import torch
+
+    digest = hashlib.sha256()
+    for key, value in sorted(model.state_dict().items()):
+        digest.update(f"{key} {value.dtype} {tuple(value.shape)}".encode())
+        digest.update(value.cpu().contiguous().view(-1).view(torch.uint8).numpy().tobytes())
+    return digest.hexdigest()
+
+
+def segment(segmenter: Segmenter, images: Sequence[np.ndarray], size: Size = None) -> np.ndarray:
+    """Label maps of images of one size: the likeliest class after the logits were resized to the images' size bilinearly.
+
+    Args:
+        segmenter: of `load_segmenter`.
+        images: (H, W, 3) uint8 each.
+        size: (height, width) that they are resized to for the model.
+
+    Returns:
+        (N, H, W) uint8, training ids.
+
+    Raises:
+        InputError: the model cannot take this size.
+    """
+    import torch
+
+    model, processor, _ = segmenter
+    shape = images[0].shape[:2]
+    height, width = size or shape
+    resize = {"do_resize": bool(size), "size": {"height": height, "width": width}}
+    whole = {name: False for name in ("do_center_crop", "do_pad") if getattr(processor, name, None)}
+    try:
+        pixels = processor(images=list(images), return_tensors="pt", **resize, **whole)["pixel_values"]
+        if pixels.shape[-2:] != (height, width):
+            raise ValueError(f"its processor gives {pixels.shape[-2]}x{pixels.shape[-1]}")
+        with torch.inference_mode():
+            logits = model(pixels.to(model.device)).logits
+            resized = torch.nn.functional.interpolate(logits, shape, mode="bilinear", align_corners=False)
+    except torch.OutOfMemoryError:
+        raise InputError(f"no memory for {len(images)} images of {height}x{width}; give a smaller --batch-size or --size") from None
+    except (ValueError, RuntimeError) as error:
+        raise InputError(
+            f"{segmenter.facts['model']}: cannot take images of {height}x{width} ({_first_line(error)}); give its size with --size HxW"
+        ) from None
+    return resized.argmax(1).to(torch.uint8).cpu().numpy()
+
+
+def label_maps(segmenter: Segmenter, images: dict[Path, Path], size: Size, batch_size: int) -> Iterator[tuple[Path, np.ndarray]]:
+    """Where each map goes, and the map (H, W) uint8, for `images` by where their maps go; a batch holds images of one size."""
+    read = ((out, read_image(path)) for out, path in images.items())
+    for _, alike in groupby(read, key=lambda pair: pair[1].shape):
+        while batch := [pair for pair, _ in zip(alike, range(batch_size))]:
+            outs, pictures = zip(*batch)
+            yield from zip(outs, segment(segmenter, pictures, size))
+
+
+def wanted_maps(kitti: str | Path, frame_list: str | Path, out: Path, allow_missing: bool) -> dict[Path, Path]:
+    """Image files of a list by where their label maps go.
+
+    Raises:
+        InputError: images are missing, or two cameras' images would have one map.
+    """
+    frames = read_frame_list(frame_list)
+    root = check_root(kitti)
+    paths = {number: image_path(root, frame) for number, frame in enumerate(frames)}
+    images: dict[Path, Path] = {}
+    for number in present_frames(paths, frames, allow_missing):
+        image, path = paths[number], label_path(out, frames[number])
+        if images.setdefault(path, image) != image:
+            raise InputError(f"{frame_list}: lists both cameras of {frames[number].drive} {frames[number].index}; there is one map a frame")
+    return images
+
+
+def check_maker(out: Path, facts: dict[str, Any]) -> None:
+    """Refuse a folder that holds another model's maps, so that none are mixed or lost.
+
+    Raises:
+        InputError: naming what made those that are there.
+    """
+    import json
+
+    if not any(out.glob("*/*.png")):
+        return
+    try:
+        made = json.loads((out / "labels.json").read_text(encoding="utf-8"))
+        same = all(made.get(key) == facts[key] for key in ("weights_sha256", "size"))
+        maker = f"{made.get('model')}, size {made.get('size')}, weights {str(made.get('weights_sha256'))[:8]}"
+    except (OSError, ValueError, AttributeError):
+        same, maker = False, "unknown: it has no readable labels.json"
+    if not same:
+        raise InputError(f"{out}: holds label maps of another maker ({maker}); give another folder for --out")
+
+
+def export(
+    kitti: str | Path,
+    frame_list: str | Path,
+    out: str | Path,
+    *,
+    model: str = MODEL,
+    revision: str = "main",
+    size: Size = None,
+    device: str = "cpu",
+    batch_size: int = 4,
+    allow_missing: bool = False,
+    allow_pickle: bool = False,
+) -> tuple[int, int]:
+    """Write the label maps of `frame_list` below `out`; maps of the same model that are there stay. Arguments as on the command line.
+
+    Returns:
+        The numbers of maps written and of those that were there.
+
+    Raises:
+        InputError: bad input, or a file cannot be written.
+    """
+    out = Path(out)
+    images = wanted_maps(kitti, frame_list, out, allow_missing)
+    segmenter = load_segmenter(model, revision=revision, device=device, allow_pickle=allow_pickle)
+    facts = segmenter.facts | {"size": list(size) if size else "the images' own", "list_sha256": file_digest(Path(frame_list))}
+    check_maker(out, facts)
+    wanted = {path: image for path, image in images.items() if not path.is_file()}
+    maps = label_maps(segmenter, wanted, size, batch_size)
+    try:
+        for number, (path, labels) in enumerate(tqdm(maps, "label maps", len(wanted), unit="image", disable=None)):
+            if not number:
+                write_json(out / "labels.json", facts)
+            with atomic_path(path) as partial:
+                Image.fromarray(labels).save(partial)
+    except OSError as error:
+        raise InputError(f"{out}: cannot write the label maps ({error.strerror or error})") from None
+    return len(wanted), len(images) - len(wanted)
+
+
+def height_width(text: str) -> tuple[int, int]:
+    """`384x1248` as (384, 1248)."""
+    match = re.fullmatch(r"([1-9]\d*)x([1-9]\d*)", text)
+    if not match:
+        raise argparse.ArgumentTypeError(f"{text!r} is not HEIGHTxWIDTH, such as 512x1024")
+    return int(match[1]), int(match[2])
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command line; 0 when the maps are written.
+
+    Raises:
+        SystemExit: code 2, after one line on stderr, for bad input.
+    """
+    parser = argparse.ArgumentParser(description="Write Cityscapes label maps of KITTI raw images with a pretrained segmentation model.")
+    parser.add_argument("--kitti", required=True, metavar="ROOT", help="folder that holds 2011_09_26, 2011_09_28, …")
+    parser.add_argument("--list", required=True, metavar="FILE", help="lines like `2011_09_26/2011_09_26_drive_0052_sync 0000000000 l`")
+    parser.add_argument("--out", required=True, metavar="LABELS_ROOT", help="folder to write to")
+    parser.add_argument("--model", default=MODEL, help="hub name or local folder of a semantic-segmentation model (default: %(default)s)")
+    parser.add_argument("--revision", default="main", help="branch, tag or commit of the model on the hub (default: %(default)s)")
+    parser.add_argument(
+        "--size",
+        type=height_width,
+        metavar="HxW",
+        help="resize images for the model (default: their own size, so that nothing is stretched)",
+    )
+    parser.add_argument("--device", help="cpu, cuda, cuda:1, … (default: cuda where there is one)")
+    parser.add_argument("--batch-size", type=int, default=4, metavar="N", help="images at once (default: %(default)s)")
+    parser.add_argument("--allow-missing", action="store_true", help="leave out frames whose image is missing; else they are an error")
+    parser.add_argument("--allow-pickle", action="store_true", help="read weights that are no safetensors; only from a source you trust")
+    arguments = parser.parse_args(argv)
+    with exit_on_input_error():
+        if arguments.batch_size < 1:
+            raise InputError(f"--batch-size {arguments.batch_size}: must be 1 or more")
+        written, there = export(
+            arguments.kitti,
+            arguments.list,
+            arguments.out,
+            model=arguments.model,
+            revision=arguments.revision,
+            size=arguments.size,
+            device=usable_device(arguments.device),
+            batch_size=arguments.batch_size,
+            allow_missing=arguments.allow_missing,
+            allow_pickle=arguments.allow_pickle,
+        )
+        print(f"{arguments.out}: {written} label maps written" + f", {there} were there" * bool(there))
+    return 0
+
+
+def usable_device(name: str | None) -> str:
+    """The device, checked; without a name CUDA's first or the CPU.
+
+    Raises:
+        InputError: there is no such device.
+    """
+    import torch
+
+    name = name or ("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        torch.empty(1, device=name)
+    except (RuntimeError, AssertionError) as error:
+        raise InputError(f"--device {name}: not usable ({_first_line(error)}); give cpu or cuda") from None
+    return name
+
+
+def _first_line(error: Exception) -> str:
+    return next(iter(str(error).splitlines()), type(error).__name__)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

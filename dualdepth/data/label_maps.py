@@ -1,0 +1,72 @@
+"""Label maps of scored frames: 8-bit PNG files of Cityscapes training ids, one an image (PROTOCOLS B7; cityscapesScripts `labels.py`)."""
+
+import io
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from dualdepth.data.kitti import Frame
+from dualdepth.errors import InputError
+
+CITYSCAPES = (
+    *("road", "sidewalk", "building", "wall", "fence", "pole", "traffic light", "traffic sign", "vegetation", "terrain"),
+    *("sky", "person", "rider", "car", "truck", "bus", "train", "motorcycle", "bicycle"),
+)
+"""Names of the training ids 0 … 18."""
+IGNORE = 255
+"""What has none of these classes."""
+
+
+def label_path(labels_root: str | Path, frame: Frame) -> Path:
+    """Where the label map of a frame is: `<root>/<date_drive_XXXX_sync>/<index>.png`."""
+    return Path(labels_root) / frame.drive.split("/")[-1] / f"{frame.index:010d}.png"
+
+
+def read_label_map(path: str | Path) -> np.ndarray:
+    """Read a label map.
+
+    Returns:
+        (H, W) uint8: training ids 0 … 18, or 255 (ignore). Of a file with a palette the indices count, not their colours.
+
+    Raises:
+        InputError: missing, damaged, no PNG, not of one channel with 8 bits, or it holds other ids.
+    """
+    path = Path(path)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot read the label map ({error.strerror}); make it with data_scripts/export_labels.py") from None
+    if data[:8] != b"\x89PNG\r\n\x1a\n" or len(data) < 26:
+        raise InputError(f"{path}: not a PNG file ({len(data)} bytes); a label map is an 8-bit PNG of one channel")
+    bits, colour = data[24:26]  # of the header, since a reader may widen or narrow them
+    if colour not in (0, 3):
+        raise InputError(f"{path}: holds colours; give training ids 0 to 18 (Cityscapes' labelTrainIds), one 8-bit channel")
+    if bits != 8:
+        raise InputError(f"{path}: has {bits} bits a pixel; give training ids 0 to 18 (Cityscapes' labelTrainIds) in 8 bits")
+    try:
+        with Image.open(io.BytesIO(data)) as image:
+            labels = np.array(image)
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        raise InputError(f"{path}: cannot be decoded ({error}); the file is damaged, make it again") from None
+    unknown = sorted(set(np.flatnonzero(np.bincount(labels.ravel(), minlength=256)).tolist()) - {*range(len(CITYSCAPES)), IGNORE})
+    if unknown:
+        raise InputError(
+            f"{path}: holds {', '.join(map(str, unknown))}; training ids are 0 to {len(CITYSCAPES) - 1} and {IGNORE}."
+            " Cityscapes' raw ids (labelIds) go up to 33: give labelTrainIds"
+        )
+    return labels
+
+
+class LabelMaps(Sequence):
+    """Label maps of frames in their order, (H, W) uint8 each, read when they are asked for."""
+
+    def __init__(self, labels_root: str | Path, frames: Sequence[Frame]) -> None:
+        self.paths = [label_path(labels_root, frame) for frame in frames]
+
+    def __len__(self) -> int:
+        return len(self.paths)
+
+    def __getitem__(self, index: int) -> np.ndarray:
+        return read_label_map(self.paths[index])

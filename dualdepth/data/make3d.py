@@ -1,0 +1,124 @@
+"""Make3D's test photos and their laser grids (A. Saxena, M. Sun, A. Ng, "Make3D", IEEE PAMI 2009).
+
+Layout, as the archives unpack: `ROOT/Test134/img-<name>.jpg` (2272 rows, 1704 columns) and `ROOT/Gridlaserdata/depth_sph_corr-<name>.mat`.
+One photo of the published set is truncated; the field scores it all the same, so a photo that lacks its end is read as far as it goes.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from dualdepth.data.kitti import read_image
+from dualdepth.errors import InputError
+
+PHOTO_FOLDERS = ("Test134", "Test134Img")
+GRID_FOLDERS = ("Gridlaserdata", "Test134Depth", "Test134Depth/Gridlaserdata")
+"""Names that the field's code has for the two folders; the first one is the archives'."""
+PHOTO, GRID = ("img-", ".jpg"), ("depth_sph_corr-", ".mat")
+"""What stands before and after a photo's and a grid's name."""
+GRID_KEY, GRID_SHAPE = "Position3DGrid", (55, 305)
+END_OF_JPEG = b"\xff\xd9"
+LEAST_LEFT = 0.5
+"""Share of a truncated photo's rows that must be there."""
+
+
+class Pair(NamedTuple):
+    """A photo and its laser grid."""
+
+    name: str
+    photo: Path
+    grid: Path
+
+
+def find_pairs(root: str | Path) -> list[Pair]:
+    """All photos with their grids, by name.
+
+    Raises:
+        InputError: a folder is missing or empty, or a photo or a grid stands alone; all such are named, the first ones in full.
+    """
+    root = Path(root)
+    photos, grids = _named(root, PHOTO_FOLDERS, *PHOTO), _named(root, GRID_FOLDERS, *GRID)
+    alone = [f"{photos[name].name} has no grid" for name in sorted(photos.keys() - grids.keys())]
+    alone += [f"{grids[name].name} has no photo" for name in sorted(grids.keys() - photos.keys())]
+    if alone:
+        more = f" and {len(alone) - 3} more" if len(alone) > 3 else ""
+        raise InputError(f"MAKE3D_ROOT {root}: {', '.join(alone[:3])}{more}; unpack both archives of the test set anew")
+    return [Pair(name, photos[name], grids[name]) for name in sorted(photos)]
+
+
+def _named(root: Path, folders: Sequence[str], before: str, after: str) -> dict[str, Path]:
+    """Files `<before><name><after>` by name, of the first of the folders that holds any."""
+    there = [root / folder for folder in folders if (root / folder).is_dir()]
+    for folder in there:
+        files = {path.name.removeprefix(before).removesuffix(after): path for path in folder.glob(f"{before}*{after}")}
+        if files:
+            return files
+    if there:
+        raise InputError(f"{there[0]}: holds no {before}*{after}; unpack Make3D's test set there (data_scripts/download_make3d.py gets it)")
+    raise InputError(
+        f"MAKE3D_ROOT {root}: holds no folder {folders[0]}; give the folder that holds {PHOTO_FOLDERS[0]} and {GRID_FOLDERS[0]}"
+    )
+
+
+def read_grid(path: str | Path) -> np.ndarray:
+    """Distances of a laser grid, the fourth channel of its points.
+
+    Returns:
+        (55, 305) float64, metres along the ray; rows from the top, over the whole photo. Some 80 m stand for no return.
+
+    Raises:
+        InputError: missing, no `.mat` file, or one without `Position3DGrid` of shape (55, 305, 4).
+    """
+    from scipy.io import loadmat
+
+    path = Path(path)
+    try:
+        values = loadmat(path, variable_names=[GRID_KEY])
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such laser grid; unpack the archive of the grids anew") from None
+    except Exception as error:  # whatever scipy makes of a damaged file: ten kinds and more
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(f"{path}: not a .mat file that can be read ({reason}); copy or download it again") from None
+    if GRID_KEY not in values:
+        raise InputError(f"{path}: holds no {GRID_KEY}; give the laser grids of Make3D's test set")
+    points = values[GRID_KEY]
+    if points.shape != (*GRID_SHAPE, 4) or points.dtype.kind not in "fiu":
+        raise InputError(f"{path}: {GRID_KEY} is {points.dtype} of shape {points.shape}; expected numbers of shape {(*GRID_SHAPE, 4)}")
+    return points[..., 3].astype(np.float64)
+
+
+def read_photo(path: str | Path) -> np.ndarray:
+    """Decode a photo to RGB; one that lacks its end keeps its size and is grey where nothing is left.
+
+    Returns:
+        (H, W, 3) uint8.
+
+    Raises:
+        InputError: missing, no image, or more than half of it is lacking.
+    """
+    path = Path(path)
+    if not is_truncated(path):
+        return read_image(path)
+    data = np.frombuffer(path.read_bytes() + END_OF_JPEG, np.uint8)
+    photo = cv2.imdecode(data, cv2.IMREAD_COLOR_RGB)
+    # the decoder fills with mid-grey what it has no data for
+    if photo is None or (photo == 128).all(axis=(1, 2)).mean() > 1 - LEAST_LEFT:
+        raise InputError(f"{path}: truncated, less than half of the photo is there ({data.size - 2} bytes); copy or download it again")
+    return photo
+
+
+def is_truncated(path: str | Path) -> bool:
+    """Whether a JPEG lacks its end; False for what is no JPEG.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    try:
+        data = Path(path).read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot read the photo ({error.strerror})") from None
+    # the mark of the end never stands within a picture; that of a preview may stand at the file's beginning
+    return data[:2] == b"\xff\xd8" and END_OF_JPEG not in data[len(data) // 2 :]

@@ -1,0 +1,104 @@
+"""Depth metrics on Make3D by criterion C1, as monodepth2's authors scored it (PROTOCOLS B2; paper, table on Make3D).
+
+The paper only says that photos are resized to the network's input. Both readings are scored on the grid's rows 17:38, the central 21 of 55:
+
+- `band`, monodepth2's and the headline: the photo's central band, twice as wide as high, is resized to the input, and the predicted depth
+  to (21, 305). Of an upright 4:3 photo the band is the rows from 31.25 % to 68.75 % (710:1562 of 2272), the grid's 17.2 to 37.8.
+- `whole`: the whole photo is resized to the input, and the predicted depth (h, w) to (55, 305), of which rows 17:38 are kept; row r of
+  the grid is the prediction's row ⌊r·h/55⌋.
+
+Sizes change to the nearest pixel as OpenCV has it, which is the one at the cell's top left: row r of n is row ⌊r·h/n⌋.
+"""
+
+from collections.abc import Sequence
+from typing import Literal, get_args
+
+import cv2
+import numpy as np
+import pandas as pd
+
+from dualdepth.data.make3d import GRID_SHAPE
+from dualdepth.errors import InputError
+from dualdepth.evaluation.depth import Protocol, errors, valid_pixels
+
+Convention = Literal["band", "whole"]
+CONVENTIONS: tuple[Convention, ...] = get_args(Convention)
+METRICS = ("abs_rel", "sq_rel", "rmse", "log10_rms", "log10")
+"""`log10_rms` is the root mean square of log10 differences, which papers on self-supervision call log10; `log10` is C1's mean absolute."""
+ROWS = slice(17, 38)
+"""Rows of the laser grid that are scored."""
+FARTHEST = 70.0
+"""Metres: the ground truth must be strictly below, predictions are clamped to it from above (C1)."""
+NEAREST = float(np.finfo(np.float64).tiny)
+"""C1 has no bound below: the ground truth must be above 0."""
+
+
+def visible(photo: np.ndarray, convention: Convention) -> np.ndarray:
+    """What the network is shown of a photo (H, W, 3): all of it, or its central band (W // 2, W, 3).
+
+    Raises:
+        InputError: an unknown convention, or a photo that is lower than its band.
+    """
+    if _known(convention) == "whole":
+        return photo
+    height, width = photo.shape[:2]
+    if height < width // 2:
+        raise InputError(f"a photo of {height}x{width} pixels has no central band twice as wide as high; Make3D's photos are upright")
+    top = (height - width // 2) // 2
+    return photo[top : top + width // 2]
+
+
+def on_grid(prediction: np.ndarray, convention: Convention) -> np.ndarray:
+    """Prediction (h, w) of what is `visible`, at the scored cells of the laser grid, (21, 305)."""
+    rows = GRID_SHAPE[0] if _known(convention) == "whole" else ROWS.stop - ROWS.start
+    cells = cv2.resize(prediction, (GRID_SHAPE[1], rows), interpolation=cv2.INTER_NEAREST)
+    return cells[ROWS] if convention == "whole" else cells
+
+
+def evaluate_make3d(
+    predictions: Sequence[np.ndarray], grids: Sequence[np.ndarray], convention: Convention, *, median_scaling: bool = True
+) -> pd.DataFrame:
+    """Score depth predictions against laser grids, photo by photo.
+
+    Args:
+        predictions: (h, w) each, depth of what is `visible` by the convention, positive, of any size and scale.
+        grids: (55, 305) metres each.
+        convention: `band` or `whole`.
+        median_scaling: multiply each prediction by median(ground truth) / median(prediction); else they are in metres already.
+
+    Returns:
+        One row per photo, indexed by its place (`image`): `METRICS`, `scale_ratio`, `valid_pixels` (of 6405 cells). Photos without a valid
+        cell have no row; `attrs["skipped"]` lists them.
+
+    Raises:
+        InputError: the numbers differ, a shape is wrong, a prediction is not finite and positive, or no photo has a valid cell.
+    """
+    if len(predictions) != len(grids):
+        raise InputError(f"{len(predictions)} predictions but {len(grids)} laser grids; give one for each, in order")
+    protocol = Protocol(crop="none", min_depth=NEAREST, max_depth=FARTHEST, median_scaling=median_scaling)
+    rows, skipped = {}, []
+    for number, (prediction, grid) in enumerate(zip(predictions, grids)):
+        if grid.shape != GRID_SHAPE or prediction.ndim != 2 or not prediction.size:
+            raise InputError(f"image {number}: shapes {prediction.shape} and {grid.shape}; expected (height, width) and {GRID_SHAPE}")
+        try:
+            pixels = valid_pixels(on_grid(prediction, convention), np.asarray(grid[ROWS], np.float64), protocol)
+        except InputError as error:
+            raise InputError(f"image {number}: {error}") from None
+        if pixels is None:
+            skipped.append(number)
+            continue
+        digits = np.log10(pixels.ground_truth) - np.log10(pixels.prediction)
+        scores = errors(pixels.ground_truth, pixels.prediction)
+        scores |= {"log10_rms": float(np.sqrt((digits**2).mean())), "log10": float(np.abs(digits).mean())}
+        rows[number] = {m: scores[m] for m in METRICS} | {"scale_ratio": pixels.scale_ratio, "valid_pixels": len(pixels.index)}
+    if not rows:
+        raise InputError(f"none of the {len(grids)} laser grids has a cell between 0 and {FARTHEST:g} m in rows 17:38")
+    frame = pd.DataFrame.from_dict(rows, orient="index").rename_axis("image")
+    frame.attrs["skipped"] = skipped
+    return frame
+
+
+def _known(convention: str) -> str:
+    if convention not in CONVENTIONS:
+        raise InputError(f"convention {convention!r} is unknown: choose one of {', '.join(CONVENTIONS)}")
+    return convention

@@ -1,0 +1,34 @@
+"""A guard against leaks: no frame is scored whose drive the network was trained on, its ancestors included."""
+
+from collections.abc import Iterable
+from typing import Any
+
+from dualdepth.errors import InputError
+
+
+def check_leak(card: dict[str, Any], drives: Iterable[str], *, allow: bool, weights: Any = "the weights") -> str:
+    """Refuse to score frames of drives that a training has seen.
+
+    Args:
+        card: of the training; its `drives` are those of its ancestors, too.
+        drives: that the scored frames are of; odometry sequences as the raw drives they were cut from.
+        allow: score them all the same.
+        weights: whose they are, for the message.
+
+    Returns:
+        What a result must say: nothing, or the leak by name.
+
+    Raises:
+        InputError: there is a leak and it is not allowed, or the card does not say what was trained on.
+    """
+    if "drives" not in card:
+        raise InputError(f"{weights}: its card does not say which drives it was trained on; keep the card that was written with it")
+    shared = sorted(set(card["drives"]) & set(drives))
+    if not shared:
+        return ""
+    if not allow:
+        raise InputError(
+            f"{weights}: was trained on {', '.join(shared)}, of which frames are to be scored: score other drives, or give --allow-leak"
+            " (make reproduce ALLOW_LEAK=1), which marks the result"
+        )
+    return f"LEAK: trained on {', '.join(shared)}"

@@ -1,0 +1,158 @@
+"""The report: the whole paper against ours on one page, shown by notebook 14 and written as `results/<profile>/report.html`."""
+
+import base64
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pandas as pd
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from dualdepth import paper
+from dualdepth.assumptions import ASSUMPTIONS
+from dualdepth.atomic import write_text
+from dualdepth.results import Run
+from dualdepth.verdicts import NOT_RUN, RULES, compare_numbers, judge_claims
+
+TITLES = {
+    "main": "Depth on the Eigen split",
+    "make3d": "Make3D",
+    "ablation": "Ablation",
+    "distance": "Near and far",
+    "sharpness": "Sharpness",
+    "sa_region": "Regions of SA-Attention",
+    "backbone": "Backbones and their cost",
+    "odometry": "Odometry",
+}
+HIDDEN = ("variant", "device", "seeds")
+"""Columns of tables that the page does not show; the CSV files have them."""
+CAPTIONS = {
+    "main_depth": "Frames, laser depth, predicted depth and relative error.",
+    "ablation_depth": "Depth of the ablation's networks.",
+    "distance_errors": "Relative errors of the laser points beyond 20 m, enlarged.",
+    "sharpness_boundaries": "Depth boundaries, enlarged.",
+    "backbone_cost": "Parameters and operations.",
+    "side_by_side": "Depth of both networks beside the interpolated laser depth.",
+    "slim_objects": "Slim objects, enlarged.",
+    "overview": "The networks, drawn from the code.",
+    "make3d": "Make3D photos, predicted depth, laser grid and relative error.",
+    "odometry_trajectories": "Trajectories from above, laid on the truth with 7dof.",
+    "sa_region": "Regions, and the relative error without and with SA-Attention.",
+}
+
+
+class Report(NamedTuple):
+    """What the page shows."""
+
+    about: str
+    caution: str
+    """What the numbers are not; empty for the paper's profile."""
+    claims: pd.DataFrame
+    """`judge_claims`; without the column `verdict` where nothing is judged."""
+    numbers: pd.DataFrame
+    """`compare_numbers`."""
+    tables: dict[str, pd.DataFrame]
+    stamps: pd.DataFrame
+    """Provenance of every table and figure."""
+    figures: dict[str, Path]
+
+
+CAUTIONS = {
+    "none": "nothing here is judged: the networks were trained for a few steps, to show that everything runs.",
+    "directions": "only the direction of each claim is judged, not its size.",
+    "numbers": "",
+}
+
+
+def make_report(run: Run) -> Report:
+    """Gather a run's tables, figures and stamps, and judge as far as its profile says.
+
+    Raises:
+        InputError: a table is missing; the message names the notebook that makes it.
+    """
+    folder = run.results / "tables"
+    for number, name in zip(("05", "06", "07", "08", "09", "10", "11", "12"), TITLES):
+        run.require(folder / f"{name}.csv", f"{number}_table_{name}")
+    read = {path.stem: pd.read_csv(path, dtype={"seeds": str}) for path in sorted(folder.glob("*.csv"))}
+    tables = {name: read[name].fillna({"note": "", "seeds": ""}) for name in TITLES}
+    judged = run.profile.verdicts
+    claims, numbers = judge_claims(read), compare_numbers(tables, judged == "numbers")
+    if judged == "none":
+        claims["verdict"] = [verdict if verdict.startswith(NOT_RUN) else "not judged" for verdict in claims["verdict"]]
+    where = "of a synthetic world, not of KITTI" if run.profile.world else "of a small training"
+    caution = f"These are numbers {where}: {CAUTIONS[judged]}" if CAUTIONS[judged] else ""
+    figures = {path.stem: path for path in sorted((run.results / "figures").glob("*.png"))}
+    return Report(run.profile.about, caution, claims, numbers, tables, _provenance(run, judged_files(run)), figures)
+
+
+def judged_files(run: Run) -> list[Path]:
+    """The stamps of all tables and figures."""
+    return sorted((run.results / "tables").glob("*.json")) + sorted((run.results / "figures").glob("*.json"))
+
+
+def _provenance(run: Run, stamps: Sequence[Path]) -> pd.DataFrame:
+    rows = []
+    for path in stamps:
+        stamp = json.loads(path.read_text(encoding="utf-8"))
+        inputs = {Path(k).as_posix().removeprefix(f"work/{run.profile.name}/"): (v or "")[:8] for k, v in stamp["inputs_sha256"].items()}
+        rows.append(
+            {
+                "result": f"{path.parent.name}/{path.stem}",
+                "revision": stamp["revision"][:10] + (" and changes" if stamp["dirty"] else ""),
+                "profile": f"{stamp['profile']} {stamp['profile_sha256'][:8]}",
+                "lock": (stamp["lock_sha256"] or "")[:8],
+                "seeds": " ".join(map(str, stamp.get("seeds", []))),
+                "device": stamp["device"],
+                "seconds": stamp["seconds"],
+                "made": stamp["made"],
+                "inputs": ", ".join(f"{k} {v}" for k, v in inputs.items()),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def shown(name: str, table: pd.DataFrame) -> pd.DataFrame:
+    """A table for the eye: means with their spread over seeds, no columns that are empty throughout or only for programs."""
+    from dualdepth.tables.rows import readable
+
+    spread = [c.removesuffix("_std") for c in table if c.endswith("_std") and c.removesuffix("_std") in table]
+    table = readable(table, [c for c in spread if pd.api.types.is_numeric_dtype(table[c])], digits=4 if name == "odometry" else 3)
+    empty = [c for c in table if table[c].isna().all() or (table[c].astype(str) == "").all()]
+    return table.drop(columns=[c for c in (*HIDDEN, *empty) if c in table])
+
+
+def html(report: Report, name: str) -> str:
+    """The page, with everything in it: no file, script or address of elsewhere."""
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters["cell"] = cell
+    pictures = {k: base64.b64encode(path.read_bytes()).decode() for k, path in report.figures.items()}
+    return environment.get_template("report.html.j2").render(
+        name=name,
+        report=report,
+        tables={k: (title, shown(k, report.tables[k])) for k, title in TITLES.items()},
+        pictures=pictures,
+        captions=CAPTIONS,
+        assumptions=ASSUMPTIONS,
+        oddities=paper.ODDITIES,
+        rules=RULES,
+    )
+
+
+def cell(value: Any) -> str:
+    """A value as a table cell has it: nothing for NaN, four digits of a float."""
+    if value is None or (not isinstance(value, str) and pd.isna(value)):
+        return ""
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def write_report(run: Run, report: Report) -> Path:
+    """Write `results/<profile>/report.html`, and the judged tables beside the others."""
+    path = run.results / "report.html"
+    write_text(path, html(report, run.profile.name))
+    inputs = [run.results / "tables" / f"{name}.csv" for name in TITLES]
+    run.save_table(report.claims, "report_claims", inputs)
+    run.save_table(report.numbers, "report_numbers", inputs)
+    return path

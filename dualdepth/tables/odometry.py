@@ -1,0 +1,170 @@
+"""The odometry table: errors of short snippets as the paper has them, of whole trajectories, and of three controls."""
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from dualdepth.data.odometry import drives_of, sequence_of
+from dualdepth.evaluation.odometry import ALIGNMENTS
+from dualdepth.evaluation.statistics import mean_std
+from dualdepth.odometry_scoring import CONTROLS, LENGTHS, SequenceScores, score_control, score_sequence, true_trajectory
+from dualdepth.preparation import Sources
+from dualdepth.results import Run
+from dualdepth.tables.rows import COMPARISON, comparison_row, said_seeds, training_note, with_paper
+
+VARIANTS = ("odometry_lr", "odometry_dual")
+TRAJECTORY = ("t_err", "r_err", "ate", "rpe_t", "rpe_r")
+"""t_err in % of the length, r_err in degrees per 100 m, ate and rpe_t in metres, rpe_r in degrees."""
+NEEDS = "not run: no ODOMETRY_ROOT; get it with python data_scripts/download_kitti.py --root DIR --odometry"
+
+_sequence = lru_cache(maxsize=256)(score_sequence)
+_control = lru_cache(maxsize=64)(score_control)
+
+
+def odometry_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
+    """The paper's rows, then ours and the controls, once for each snippet length (`frames`, the paper's column "#").
+
+    Returns:
+        Besides the paper's columns `snippet_ate_mean_SS` and `snippet_ate_std_SS` (over the snippets of sequence SS, metres): true RMSE
+        of the snippets, errors of the whole trajectory aligned with 7dof, `n_SS` snippets, and standard deviations over seeds.
+    """
+    rows = []
+    for length in LENGTHS:
+        for name, method in _methods(run).items():
+            why_not = _why_not(run, name)
+            row: dict[str, Any] = {"method": method, "source": "measured", "frames": length}
+            rows.append(row | ({"note": why_not} if why_not else _row(run, name, seeds, length)))
+    return with_paper("odometry", rows)
+
+
+def _methods(run: Run) -> dict[str, str]:
+    return {name: run.profile.variant(name).label for name in VARIANTS} | CONTROLS
+
+
+def _why_not(run: Run, name: str) -> str:
+    """Why a row cannot be run; nothing if it can."""
+    if Sources.load(run).odometry_root is None:
+        return NEEDS
+    if name in VARIANTS and name not in run.profile.train:
+        return f"not run: profile {run.profile.name} does not train it"
+    if not sequences(run):
+        return f"not run: profile {run.profile.name} scores no sequence"
+    return ""
+
+
+def sequences(run: Run) -> list[str]:
+    """The sequences that are scored; none where they were not prepared, since nothing was trained for them."""
+    return run.profile.odometry_sequences()[1] if run.profile.trained_on("odometry") else []
+
+
+def _of_seeds(run: Run, name: str, seeds: Sequence[int], entry: str) -> list[SequenceScores]:
+    return [_sequence(run, name, seed, entry) for seed in seeds] if name in VARIANTS else [_control(run, name, entry)]
+
+
+def _row(run: Run, name: str, seeds: Sequence[int], length: int) -> dict[str, Any]:
+    row: dict[str, Any] = {}
+
+    def over_seeds(column: str, scores: list[SequenceScores], value: Callable[[SequenceScores], float]) -> None:
+        row[column], row[f"{column}_std"] = mean_std([value(s) for s in scores])
+
+    for entry in sequences(run):
+        scores, suffix = _of_seeds(run, name, seeds, entry), sequence_of(entry)[0]
+        over_seeds(f"snippet_ate_mean_{suffix}", scores, lambda s: s.snippets[length]["ate"].mean())
+        over_seeds(f"snippet_ate_std_{suffix}", scores, lambda s: s.snippets[length]["ate"].std(ddof=0))
+        over_seeds(f"snippet_rmse_{suffix}", scores, lambda s: s.snippets[length]["rmse"].mean())
+        for metric in TRAJECTORY:
+            over_seeds(f"{metric}_{suffix}", scores, lambda s, metric=metric: s.trajectory["7dof"][metric])
+        row[f"n_{suffix}"] = len(scores[0].snippets[length])
+    row["n"] = sum(row[f"n_{sequence_of(entry)[0]}"] for entry in sequences(run))
+    if name not in VARIANTS:
+        return row | {"seeds": "", "note": _control_note(run, name)}
+    cut = "each from one output of PoseNet" if length == 3 else "cut from the trajectory"
+    train = " ".join(run.profile.odometry_sequences()[0])
+    note = f"{training_note(run, name, seeds[0], drives=_drives(run))}, sequences {train}; snippets of {length} frames, {cut}"
+    return row | {"variant": name, "seeds": said_seeds(seeds), "note": note}
+
+
+def _drives(run: Run) -> list[str]:
+    return drives_of(sequences(run), world=run.profile.world is not None)
+
+
+def _control_note(run: Run, name: str) -> str:
+    train = " ".join(run.profile.odometry_sequences()[0])
+    return {
+        "constant": f"control: the mean step of sequences {train}, never turning",
+        "straight": "control: a metre a frame along the optical axis",
+        "inverted": "control: a mistake that snippets hardly see",
+    }[name]
+
+
+def trajectory_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
+    """Errors of the whole trajectories for every alignment: rows per method, sequence and alignment, means and spread over seeds."""
+    rows = []
+    for name, method in _methods(run).items():
+        if _why_not(run, name):
+            rows.append({"method": method, "source": "measured", "note": _why_not(run, name)})
+            continue
+        for entry in sequences(run):
+            scores = _of_seeds(run, name, seeds, entry)
+            for how in ALIGNMENTS:
+                row = {"method": method, "sequence": sequence_of(entry)[0], "align": how}
+                for metric in TRAJECTORY:
+                    row[metric], row[f"{metric}_std"] = mean_std([s.trajectory[how][metric] for s in scores])
+                segments = scores[0].trajectory[how]["segments"]
+                said = said_seeds(seeds) if name in VARIANTS else ""
+                note = "" if segments else "no segment of 100 m: the path is too short"
+                rows.append(row | {"segments": segments, "seeds": said, "source": "measured", "note": note})
+    columns = ["method", "sequence", "align", *TRAJECTORY, "segments", "seeds", "source", "note", *(f"{m}_std" for m in TRAJECTORY)]
+    return pd.DataFrame(rows).reindex(columns=columns)
+
+
+def odometry_claims(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
+    """PoseNet against each control: t_err of the 7dof-aligned trajectory, and snippets of 3 frames paired; stage 2 against stage 1.
+
+    Snippets overlap, so that their intervals are narrower than they ought to be. t_err is one number a seed: a control must be
+    beaten by every seed.
+    """
+    rows: list[dict[str, Any]] = []
+    trained = [name for name in VARIANTS if not _why_not(run, name)]
+    for entry in sequences(run) if trained else []:
+        place = f"sequence {sequence_of(entry)[0]}"
+        pairs = [(name, control) for name in trained for control in CONTROLS]
+        pairs += [("odometry_dual", "odometry_lr")] if len(trained) == 2 else []
+        for a, b in pairs:
+            of_a, of_b = _of_seeds(run, a, seeds, entry), _of_seeds(run, b, seeds, entry)
+            of_b = of_b * (len(of_a) // len(of_b))
+            rows.append({"sequence": place, "a": a, "b": b, "metric": "t_err", **_t_err_row(of_a, of_b)})
+            ates = [[s.snippets[3]["ate"].to_numpy() for s in scores] for scores in (of_a, of_b)]
+            rows.append({"sequence": place, "a": a, "b": b, "metric": "snippet_ate_3", **comparison_row(*ates, lower_is_better=True)})
+    return pd.DataFrame(rows, columns=["sequence", *COMPARISON])
+
+
+def _t_err_row(a: Sequence[SequenceScores], b: Sequence[SequenceScores]) -> dict[str, Any]:
+    errors = np.array([[s.trajectory["7dof"]["t_err"] for s in scores] for scores in (a, b)])
+    segments = a[0].trajectory["7dof"]["segments"]
+    if not segments:
+        return {"n": 0, "in_words": "not compared: the path is too short for a segment"}
+    difference = errors[0] - errors[1]
+    mean, spread = mean_std(difference)
+    better = int((difference < 0).sum())
+    words = f"{'better' if mean < 0 else 'worse'} by {abs(mean):.3g} %; better with {better} of {len(difference)} seeds"
+    means = {"mean_a": errors[0].mean(), "mean_b": errors[1].mean(), "difference": mean, "spread": spread, "seeds": len(difference)}
+    return means | {"n": segments, "in_words": words}
+
+
+def paths(run: Run, seed: int, entry: str) -> dict[str, np.ndarray]:
+    """Positions (N, 3) in metres for a plot, laid on the truth with 7dof: the truth, ours, and the straight control."""
+    from dualdepth.data.trajectories import read_trajectory
+    from dualdepth.evaluation.odometry import aligned, relative
+
+    truth = true_trajectory(run, entry).poses
+    shown = {"Ground truth": relative(truth)[:, :3, 3]}
+    for name in VARIANTS:
+        if not _why_not(run, name):
+            _sequence(run, name, seed, entry)
+            file = run.results / "trajectories" / f"{name}_seed{seed}_{sequence_of(entry)[0]}.txt"
+            shown[run.profile.variant(name).label] = aligned(read_trajectory(file).poses, truth)[:, :3, 3]
+    return shown

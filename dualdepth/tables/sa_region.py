@@ -1,0 +1,106 @@
+"""Does SA-Attention help where there is little texture, and only there?"""
+
+import json
+from collections.abc import Sequence
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from dualdepth.data.label_maps import LabelMaps
+from dualdepth.errors import InputError
+from dualdepth.evaluation.depth import METRICS
+from dualdepth.evaluation.regions import LEAST, REGIONS, evaluate_regions
+from dualdepth.preparation import Sources
+from dualdepth.results import Run
+from dualdepth.scoring import Predictions, protocol, scored_frames, truth
+from dualdepth.tables.rows import COMPARISON, compare_trainings, comparison_row, said_seeds, training_row, with_paper
+
+ROWS = {"dual_no_sa": "w/o SA", "dual": "w/ SA"}
+COLUMNS = ["region", "method", *(f"{m}{end}" for m in METRICS for end in ("", "_std")), "n", "seeds", "source", "variant", "note"]
+NO_LABELS = "not run: no LABELS_ROOT; make the maps with python data_scripts/export_labels.py"
+
+
+def labels_made_by(run: Run) -> str:
+    """What made the label maps: the world's renderer, or what `labels.json` beside them says; why there are none.
+
+    Raises:
+        InputError: `labels.json` cannot be read.
+    """
+    root = Sources.load(run).labels_root
+    if root is None:
+        return NO_LABELS
+    if run.profile.world:
+        return "exact labels"
+    path = Path(root) / "labels.json"
+    if not path.exists():
+        return "labels of unknown origin"
+    try:
+        card = json.loads(path.read_text(encoding="utf-8"))
+        return f"labels by {card['model']}"
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{path}: names no model ({error}); delete it or make the maps again with data_scripts/export_labels.py") from None
+
+
+@lru_cache(maxsize=64)
+def regions(run: Run, variant: str, seed: int) -> pd.DataFrame:
+    """Per-image metrics of a training's regions; kept while the run is open, since several rows ask for them."""
+    labels = LabelMaps(Sources.load(run).labels_root, scored_frames(run))
+    disparities = Predictions(run, variant, seed).disparities
+    return evaluate_regions(disparities, truth(run), labels, kind="disparity", **protocol(run.profile.evaluation))
+
+
+def score_region(run: Run, variant: str, seed: int, *, region: str) -> pd.DataFrame:
+    """Per-image metrics of one region; images that have too little of it have no row."""
+    frame = regions(run, variant, seed)
+    return frame[frame.index.get_level_values("region") == region].droplevel("region")
+
+
+def sa_region_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
+    """The paper's rows and ours; without label maps ours have no numbers and say so."""
+    made_by, rows = labels_made_by(run), []
+    for region in REGIONS:
+        for variant, method in ROWS.items():
+            if made_by == NO_LABELS:
+                row = {"variant": variant, "source": "measured", "note": NO_LABELS}
+            else:
+                row = training_row(run, variant, seeds, scores=partial(score_region, region=region))
+                if "n" in row:
+                    row["note"] = ", ".join(filter(None, [row["note"], made_by, counted(row["n"], len(scored_frames(run)))]))
+            rows.append({"region": region, "method": method, **row})
+    return with_paper("sa_region", rows).reindex(columns=COLUMNS)
+
+
+def counted(n: int, images: int) -> str:
+    """How many images have the region; nothing where all have it."""
+    return "" if n == images else f"{n} of {images} images; the others have fewer than {LEAST} valid pixel{'s' * (LEAST > 1)} of the region"
+
+
+def sa_region_claims(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
+    """With SA against without in each region, over all seeds and for each, paired; and whether road gains more: the paper's claim."""
+    if labels_made_by(run) == NO_LABELS:
+        rows = [
+            {"region": r, "seeds": said_seeds(seeds), "a": "dual", "b": "dual_no_sa", "metric": "", "in_words": NO_LABELS} for r in REGIONS
+        ]
+        return pd.DataFrame(rows, columns=["region", "seeds", *COMPARISON])
+    tables = []
+    for chosen in [seeds, *([seed] for seed in seeds if len(seeds) > 1)]:
+        for region in REGIONS:
+            table = compare_trainings(run, [("dual", "dual_no_sa")], chosen, scores=partial(score_region, region=region))
+            tables.append(table.assign(region=region, seeds=said_seeds(chosen)))
+        if (tables[-1]["metric"] != "").all():
+            tables.append(pd.DataFrame([gain_row(run, chosen)]).assign(region=" against ".join(REGIONS), seeds=said_seeds(chosen)))
+    return pd.concat(tables, ignore_index=True)[["region", "seeds", *COMPARISON]]
+
+
+def gain_row(run: Run, seeds: Sequence[int]) -> dict[str, Any]:
+    """Is SA's gain in Abs Rel larger on road than on tree and grass, in the images that have both?"""
+    gains = []
+    for region in REGIONS:
+        both = [[score_region(run, v, seed, region=region)["abs_rel"] for seed in seeds] for v in ROWS]
+        gains.append([without - attended for without, attended in zip(*both)])
+    shared = gains[0][0].index.intersection(gains[1][0].index)
+    road, green = ([gain.loc[shared].to_numpy() for gain in region] for region in gains)
+    names = dict(zip("ab", (f"gain of dual, {region}" for region in REGIONS)))
+    return names | {"metric": "abs_rel"} | comparison_row(road, green, lower_is_better=False)

@@ -1,0 +1,163 @@
+"""Make3D on disk: pairs, laser grids, and photos of which one is truncated."""
+
+import cv2
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from dualdepth.data.make3d import find_pairs, is_truncated, read_grid, read_photo
+from dualdepth.errors import InputError
+
+NAMES = ("b-p-002t000", "a-p-001t000")
+
+
+def points(seed=0):
+    return np.random.default_rng(seed).uniform(1, 80, (55, 305, 4))
+
+
+def jpeg(height=96, width=72, seed=0):
+    coarse = np.random.default_rng(seed).integers(0, 255, (12, 9, 3), dtype=np.uint8)
+    return cv2.imencode(".jpg", cv2.resize(coarse, (width, height)))[1].tobytes()
+
+
+@pytest.fixture
+def make_root(tmp_path):
+    def make(photos=NAMES, grids=NAMES, photo_folder="Test134", grid_folder="Gridlaserdata"):
+        for folder in (photo_folder, grid_folder):
+            (tmp_path / folder).mkdir(parents=True)
+        for number, name in enumerate(photos):
+            (tmp_path / photo_folder / f"img-{name}.jpg").write_bytes(jpeg(seed=number))
+        for number, name in enumerate(grids):
+            savemat(tmp_path / grid_folder / f"depth_sph_corr-{name}.mat", {"Position3DGrid": points(number)})
+        return tmp_path
+
+    return make
+
+
+@pytest.mark.parametrize("photo_folder", ["Test134", "Test134Img"])
+@pytest.mark.parametrize("grid_folder", ["Gridlaserdata", "Test134Depth", "Test134Depth/Gridlaserdata"])
+def test_pairs_are_found_by_name_in_their_order(make_root, photo_folder, grid_folder):
+    root = make_root(photo_folder=photo_folder, grid_folder=grid_folder)
+    (root / photo_folder / "._img-a-p-001t000.jpg").write_bytes(b"a leftover of another system")
+    pairs = find_pairs(root)
+    assert [pair.name for pair in pairs] == sorted(NAMES)
+    assert pairs[0].photo == root / photo_folder / "img-a-p-001t000.jpg"
+    assert pairs[0].grid == root / grid_folder / "depth_sph_corr-a-p-001t000.mat"
+
+
+def test_whatever_stands_alone_is_named_in_one_line(make_root):
+    root = make_root(photos=("a", "b", "c", "both"), grids=("both", "x", "y"))
+    with pytest.raises(InputError) as error:
+        find_pairs(root)
+    assert f"{root}: img-a.jpg has no grid, img-b.jpg has no grid, img-c.jpg has no grid and 2 more" in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_grid_without_photo_is_named(make_root):
+    with pytest.raises(InputError, match=r"depth_sph_corr-x\.mat has no photo; unpack"):
+        find_pairs(make_root(photos=("a",), grids=("a", "x")))
+
+
+@pytest.mark.parametrize(
+    ("folders", "message"),
+    [
+        ((), "holds no folder Test134; give the folder"),
+        (("Test134",), r"Test134: holds no img-\*\.jpg"),
+    ],
+)
+def test_missing_and_empty_folders_are_told_apart(tmp_path, folders, message):
+    for folder in folders:
+        (tmp_path / folder).mkdir()
+    with pytest.raises(InputError, match=message):
+        find_pairs(tmp_path)
+
+
+def test_missing_and_empty_folders_of_grids_are_told_too(make_root):
+    root = make_root(grids=())
+    with pytest.raises(InputError, match=r"Gridlaserdata: holds no depth_sph_corr-\*\.mat"):
+        find_pairs(root)
+    (root / "Gridlaserdata").rmdir()
+    with pytest.raises(InputError, match="holds no folder Gridlaserdata"):
+        find_pairs(root)
+
+
+def test_the_fourth_channel_is_the_depth(make_root):
+    root = make_root()
+    grid = read_grid(root / "Gridlaserdata" / f"depth_sph_corr-{NAMES[1]}.mat")
+    assert grid.dtype == np.float64
+    np.testing.assert_array_equal(grid, points(1)[..., 3])
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ({"Other": points()}, "holds no Position3DGrid"),
+        ({"Position3DGrid": points()[..., :3]}, r"shape \(55, 305, 3\); expected numbers of shape \(55, 305, 4\)"),
+        ({"Position3DGrid": points().transpose(1, 0, 2)}, r"shape \(305, 55, 4\)"),
+        ({"Position3DGrid": points().astype(str)}, "expected numbers"),
+    ],
+)
+def test_another_mat_file_is_refused(tmp_path, content, message):
+    savemat(tmp_path / "a.mat", content)
+    with pytest.raises(InputError, match=message):
+        read_grid(tmp_path / "a.mat")
+
+
+@pytest.mark.parametrize("damage", ["text", "empty", "cut", "missing"])
+def test_what_is_no_mat_file_is_one_clear_line(tmp_path, damage):
+    path = tmp_path / "a.mat"
+    savemat(path, {"Position3DGrid": points()})
+    whole = path.read_bytes()
+    path.write_bytes({"text": b"not a grid at all\n" * 40, "empty": b"", "cut": whole[: len(whole) // 2], "missing": b""}[damage])
+    if damage == "missing":
+        path.unlink()
+    with pytest.raises(InputError) as error:
+        read_grid(path)
+    assert str(error.value).startswith(f"{path}: ") and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("kept", [0.75, 0.999])
+def test_a_truncated_photo_keeps_its_size_and_what_is_left(tmp_path, kept):
+    whole, path = jpeg(480, 360), tmp_path / "img-a.jpg"
+    path.write_bytes(whole[: int(kept * len(whole))])
+    photo, full = read_photo(path), cv2.imdecode(np.frombuffer(whole, np.uint8), cv2.IMREAD_COLOR_RGB)
+    assert is_truncated(path) and photo.shape == full.shape
+    rows = int(0.9 * kept * len(full))
+    np.testing.assert_array_equal(photo[:rows], full[:rows])
+
+
+def test_a_whole_photo_is_decoded_to_rgb(tmp_path):
+    path = tmp_path / "img-a.jpg"
+    path.write_bytes(cv2.imencode(".jpg", np.full((40, 30, 3), (0, 0, 250), np.uint8))[1].tobytes())
+    assert not is_truncated(path)
+    assert read_photo(path)[20, 15, 0] > 200 > 50 > read_photo(path)[20, 15, 2]
+
+
+def test_bytes_after_the_end_do_not_make_a_photo_truncated(tmp_path):
+    path = tmp_path / "img-a.jpg"
+    path.write_bytes(jpeg() + b"\0" * 50)
+    assert not is_truncated(path) and read_photo(path).shape == (96, 72, 3)
+
+
+def test_a_preview_at_the_beginning_does_not_hide_a_missing_end(tmp_path):
+    whole, preview, path = jpeg(480, 360), jpeg(24, 18), tmp_path / "img-a.jpg"
+    segment = b"\xff\xe1" + (len(preview) + 2).to_bytes(2, "big") + preview
+    path.write_bytes(whole[:2] + segment + whole[2:-300])
+    assert is_truncated(path) and read_photo(path).shape == (480, 360, 3)
+
+
+@pytest.mark.parametrize("kept", [0.02, 0.3])
+def test_a_photo_of_which_less_than_half_is_left_is_refused(tmp_path, kept):
+    whole, path = jpeg(480, 360), tmp_path / "img-a.jpg"
+    path.write_bytes(whole[: int(kept * len(whole))])
+    with pytest.raises(InputError, match=r"img-a\.jpg: truncated"):
+        read_photo(path)
+
+
+@pytest.mark.parametrize("content", [b"", b"no photo", None])
+def test_what_is_no_photo_is_refused(tmp_path, content):
+    path = tmp_path / "img-a.jpg"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(InputError, match=r"img-a\.jpg: "):
+        read_photo(path)

@@ -1,0 +1,198 @@
+"""The download of Make3D, run in-process against a server on loopback that holds a toy test set."""
+
+import hashlib
+import importlib.util
+import io
+import json
+import shutil
+import socket
+import tarfile
+from pathlib import Path
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from dualdepth.data import download
+from dualdepth.data.make3d import find_pairs
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+
+
+def load(path):
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+loopback = load(REPOSITORY / "tests" / "data" / "loopback.py")
+script = load(REPOSITORY / "data_scripts" / "download_make3d.py")
+
+PHOTOS, GRIDS = "Test134.tar.gz", "Test134Depth.tar.gz"
+NAMES = ("a-p-001t000", "b-p-002t000", "c-p-003t000")
+
+
+def photo(seed, keep=None):
+    coarse = np.random.default_rng(seed).integers(0, 255, (16, 12, 3), dtype=np.uint8)
+    return cv2.imencode(".jpg", cv2.resize(coarse, (120, 160)))[1].tobytes()[:keep]
+
+
+def grid(seed, shape=(55, 305, 4), key="Position3DGrid"):
+    buffer = io.BytesIO()
+    savemat(buffer, {key: np.random.default_rng(seed).uniform(1, 80, shape)})
+    return buffer.getvalue()
+
+
+def tar_of(members):
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode="w:gz") as tar:
+        for name, content in members.items():
+            info = tarfile.TarInfo(name)
+            info.size = len(content)
+            tar.addfile(info, io.BytesIO(content))
+    return buffer.getvalue()
+
+
+def photos(**changes):
+    return {f"img-{name}.jpg": photo(seed) for seed, name in enumerate(NAMES)} | changes
+
+
+def grids(**changes):
+    return {f"Gridlaserdata/depth_sph_corr-{name}.mat": grid(seed) for seed, name in enumerate(NAMES)} | changes
+
+
+@pytest.fixture
+def server(monkeypatch):
+    monkeypatch.setenv("no_proxy", "127.0.0.1")
+    monkeypatch.setattr(download, "PAUSES", (0.0, 0.0))
+    monkeypatch.setattr(script, "MAKE3D_PHOTOS", len(NAMES))
+    with loopback.running() as running:
+        running.files[PHOTOS] = tar_of(photos(**{"._img-a-p-001t000.jpg": b"of another system", "Readme": b"read me"}))
+        running.files[GRIDS] = tar_of(grids())
+        yield running
+
+
+def run(server, root, *arguments):
+    return script.main(["--root", str(root), *arguments], home=server.home)
+
+
+def fails(server, root, capsys, *arguments):
+    """The one line on stderr of a run that must fail with exit code 2."""
+    capsys.readouterr()
+    with pytest.raises(SystemExit) as exit_info:
+        run(server, root, *arguments)
+    assert exit_info.value.code == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1
+    return lines[0]
+
+
+def files(root):
+    return sorted(str(path.relative_to(root)) for path in root.rglob("*") if path.is_file())
+
+
+def test_both_archives_are_laid_out_as_make3d_root_however_they_nest(server, tmp_path, capsys):
+    assert run(server, tmp_path) == 0
+    expected = [f"Gridlaserdata/depth_sph_corr-{name}.mat" for name in NAMES] + [f"Test134/img-{name}.jpg" for name in NAMES]
+    assert files(tmp_path) == sorted([*expected, "Gridlaserdata/.complete.json", "Test134/.complete.json"])
+    assert [pair.name for pair in find_pairs(tmp_path)] == list(NAMES)
+    said = capsys.readouterr().out
+    assert "2 archives: 1.5 MB to download, at most 1.9 MB when unpacked" in said and f"MAKE3D_ROOT={tmp_path}" in said
+    assert "3 photos with their grids, 2 of 2 archives unpacked now" in said
+
+
+def test_the_marker_says_what_came(server, tmp_path):
+    server.files[PHOTOS] = tar_of(photos(**{"img-b-p-002t000.jpg": photo(1, keep=-100)}))
+    run(server, tmp_path)
+    marker = json.loads((tmp_path / "Test134" / ".complete.json").read_text())
+    assert marker["sha256"] == hashlib.sha256(server.files[PHOTOS]).hexdigest()
+    assert marker["files"] == 3 and marker["truncated"] == ["img-b-p-002t000.jpg"]
+    assert json.loads((tmp_path / "Gridlaserdata" / ".complete.json").read_text())["truncated"] == []
+
+
+def test_a_second_run_asks_the_network_nothing_and_a_deleted_folder_comes_again(server, tmp_path, capsys):
+    run(server, tmp_path)
+    server.requests.clear()
+    assert run(server, tmp_path) == 0
+    assert server.requests == [] and "0 of 2 archives unpacked now" in capsys.readouterr().out
+    shutil.rmtree(tmp_path / "Gridlaserdata")
+    assert run(server, tmp_path) == 0
+    assert {path for _, path, _, _ in server.requests} == {GRIDS} and len(find_pairs(tmp_path)) == 3
+
+
+def test_a_cut_download_is_taken_up_by_the_next_run(server, tmp_path, capsys):
+    server.cuts = [4000, 0, 0, 0]
+    assert "the connection keeps breaking" in fails(server, tmp_path, capsys)
+    assert files(tmp_path) == [f"archives/{PHOTOS}.part", f"archives/{PHOTOS}.part.etag"]
+    assert run(server, tmp_path) == 0
+    assert len(server.files[PHOTOS]) - 4000 in server.sent
+
+
+def test_archives_are_kept_on_demand(server, tmp_path):
+    run(server, tmp_path, "--keep-archives")
+    assert files(tmp_path / "archives") == [PHOTOS, GRIDS]
+
+
+def test_a_disk_that_is_too_small_is_told_before_anything_is_downloaded(server, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=1000))
+    assert "missing; free some" in fails(server, tmp_path, capsys)
+    assert server.sent == [] and files(tmp_path) == []
+
+
+BAD = {
+    "photos missing": (PHOTOS, lambda: tar_of({"img-a.jpg": photo(0)}), "holds 1 files img-*.jpg, expected 3"),
+    "no photo": (PHOTOS, lambda: tar_of(photos(**{"img-b-p-002t000.jpg": b"no photo"})), "img-b-p-002t000.jpg: not an image"),
+    "photo cut": (PHOTOS, lambda: tar_of(photos(**{"img-b-p-002t000.jpg": photo(1, keep=700)})), "img-b-p-002t000.jpg: truncated"),
+    "another shape": (
+        GRIDS,
+        lambda: tar_of(grids(**{f"Gridlaserdata/depth_sph_corr-{NAMES[2]}.mat": grid(2, (55, 305, 3))})),
+        "Position3DGrid is float64 of shape (55, 305, 3)",
+    ),
+    "no key": (
+        GRIDS,
+        lambda: tar_of(grids(**{f"Gridlaserdata/depth_sph_corr-{NAMES[2]}.mat": grid(2, key="x")})),
+        "holds no Position3DGrid",
+    ),
+    "cut": (GRIDS, lambda: tar_of(grids())[:-2000], "not a whole gzipped tar archive"),
+    "outside": (GRIDS, lambda: tar_of({"../depth_sph_corr-a.mat": grid(0)}), "points outside of the folder"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_a_bad_archive_is_refused_and_comes_anew_the_next_time(server, tmp_path, capsys, case):
+    archive, spoilt, message = BAD[case]
+    good, server.files[archive] = server.files[archive], spoilt()
+    said = fails(server, tmp_path, capsys)
+    assert message in said and said.endswith("the archive is deleted, run again to get it anew")
+    assert not (tmp_path / "archives" / archive).exists()
+    server.files[archive] = good
+    assert run(server, tmp_path) == 0
+    assert len(files(tmp_path)) == 8  # nothing is left of the bad one
+
+
+def test_photos_and_grids_that_do_not_fit_together_are_named(server, tmp_path, capsys):
+    wrong = {"Gridlaserdata/depth_sph_corr-x.mat": grid(0)} | dict(list(grids().items())[1:])
+    server.files[GRIDS] = tar_of(wrong)
+    assert "img-a-p-001t000.jpg has no grid, depth_sph_corr-x.mat has no photo" in fails(server, tmp_path, capsys)
+
+
+def test_an_archive_that_is_not_there_any_more_is_told_before_anything_is_downloaded(server, tmp_path, capsys):
+    del server.files[GRIDS]
+    assert f"{GRIDS}: not there (HTTP 404)" in fails(server, tmp_path, capsys)
+    assert server.sent == []
+
+
+def test_without_a_network_the_mend_is_named(server, tmp_path, capsys, monkeypatch):
+    def no_network(*_, **__):
+        raise socket.gaierror("name or service not known")
+
+    monkeypatch.setattr(socket, "getaddrinfo", no_network)
+    assert fails(server, tmp_path, capsys).endswith("if you have Make3D, give MAKE3D_ROOT")
+
+
+def test_a_root_that_cannot_be_a_folder_is_told(server, tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    assert "is not a folder that can be written" in fails(server, tmp_path / "file" / "make3d", capsys)

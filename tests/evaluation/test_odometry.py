@@ -1,0 +1,384 @@
+"""Trajectory errors against closed forms, slow references, and the golden numbers of real trajectories."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from dualdepth.data.trajectories import Trajectory, read_trajectory
+from dualdepth.errors import InputError
+from dualdepth.evaluation import odometry
+from dualdepth.evaluation.odometry import aligned, relative, segment_errors, snippet_errors, snippets, trajectory_errors, umeyama
+
+REAL = Path(__file__).parents[3] / "shared" / "data" / "kitti_odometry"
+
+
+def pose(rotation=None, position=(0, 0, 0)):
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.eye(3) if rotation is None else rotation
+    matrix[:3, 3] = position
+    return matrix
+
+
+def yaw(angle):
+    return Rotation.from_euler("y", angle).as_matrix()
+
+
+def straight(count, step=1.0):
+    return np.stack([pose(position=(0, 0, step * k)) for k in range(count)])
+
+
+def circle(count, radius, start=(0, 0, 0)):
+    """A whole round of `count` poses that look along the tangent."""
+    angles = 2 * np.pi * np.arange(count) / count
+    return np.stack([pose(yaw(a), np.add(start, [radius * (1 - np.cos(a)), 0, radius * np.sin(a)])) for a in angles])
+
+
+def wander(count, seed, step=1.5):
+    """A drive that turns at random."""
+    rng = np.random.default_rng(seed)
+    poses = [pose(Rotation.random(rng=rng).as_matrix(), rng.normal(0, 9, 3))]
+    for _ in range(count - 1):
+        turn = Rotation.from_rotvec(rng.normal(0, 0.03, 3)).as_matrix()
+        poses.append(poses[-1] @ pose(turn, (0.05 * rng.normal(), 0.05 * rng.normal(), step * rng.uniform(0.2, 1.8))))
+    return np.stack(poses)
+
+
+def scaled(poses, scale):
+    out = poses.copy()
+    out[:, :3, 3] *= scale
+    return out
+
+
+def drive(poses, frames=None):
+    return Trajectory(np.arange(len(poses)) if frames is None else np.array(frames), poses, frames is not None)
+
+
+def slow_snippets(truth, prediction, length):
+    """√sum/N and RMSE of every snippet, one coordinate at a time."""
+    rows = []
+    for start in range(len(truth) - length + 1):
+        points = []
+        for poses in (truth, prediction):
+            origin, turn = poses[start][:3, 3], poses[start][:3, :3]
+            points.append([turn.T @ (poses[start + k][:3, 3] - origin) for k in range(length)])
+        pairs = [(g, p) for gt, pred in zip(*points) for g, p in zip(gt, pred)]
+        scale = sum(g * p for g, p in pairs) / sum(p * p for _, p in pairs)
+        total = sum((scale * p - g) ** 2 for g, p in pairs)
+        rows.append((math.sqrt(total) / length, math.sqrt(total / length)))
+    return rows
+
+
+def slow_segments(truth, prediction):
+    """KITTI's segments by plain loops over dicts of poses; (first, length) → (last, %, degrees per 100 m)."""
+    distance = {0: 0.0}
+    for k in range(1, len(truth)):
+        distance[k] = distance[k - 1] + math.dist(truth[k][:3, 3], truth[k - 1][:3, 3])
+    found = {}
+    for first in range(0, len(truth), 10):
+        for length in range(100, 900, 100):
+            last = next((k for k in range(first, len(truth)) if distance[k] > distance[first] + length), None)
+            if last is None or first not in prediction or last not in prediction:
+                continue
+            true_move = np.linalg.solve(truth[first], truth[last])
+            move = np.linalg.solve(prediction[first], prediction[last])
+            error = np.linalg.solve(move, true_move)
+            angle = Rotation.from_matrix(error[:3, :3]).magnitude()
+            found[first, length] = (last, 100 * math.hypot(*error[:3, 3]) / length, 100 * math.degrees(angle) / length)
+    return found
+
+
+def slow_alignment(source, target, with_scale):
+    """Rotation by SciPy, the scale and the shift that are best for it."""
+    x, y = source - source.mean(0), target - target.mean(0)
+    rotation = Rotation.align_vectors(y, x)[0].as_matrix()
+    scale = np.sum(y * (x @ rotation.T)) / np.sum(x * x) if with_scale else 1.0
+    return rotation, target.mean(0) - scale * rotation @ source.mean(0), scale
+
+
+@pytest.mark.parametrize("length", [3, 5])
+def test_snippet_errors_equal_the_slow_reference(length):
+    truth, prediction = wander(30, 0), wander(30, 1, step=0.02)
+    errors = snippet_errors(snippets(truth, length), snippets(prediction, length))
+    np.testing.assert_allclose(errors[["ate", "rmse"]], slow_snippets(truth, prediction, length), rtol=1e-9)
+    assert len(errors) == 30 - length + 1
+
+
+def test_a_snippet_of_a_circle_against_straight_ahead_in_closed_form():
+    truth = circle(40, 20.0, start=(7, 8, 9))
+    a = 2 * np.pi / 40
+    (x1, z1), (x2, z2) = ((20 * (1 - np.cos(k * a)), 20 * np.sin(k * a)) for k in (1, 2))
+    scale = (z1 + 2 * z2) / 5
+    total = x1**2 + x2**2 + (scale - z1) ** 2 + (2 * scale - z2) ** 2
+    errors = snippet_errors(snippets(truth, 3), snippets(odometry.straight_ahead(40), 3))
+    np.testing.assert_allclose(errors["ate"], math.sqrt(total) / 3)
+    np.testing.assert_allclose(errors["rmse"], math.sqrt(total / 3))
+
+
+def test_each_snippet_has_its_own_scale_and_axes():
+    truth = wander(20, 2)
+    cut = snippets(truth, 5)
+    moved = pose(yaw(1.0), (3, 4, 5)) @ cut
+    moved[:, :, :3, 3] *= np.linspace(0.1, 9, len(cut))[:, None, None]
+    np.testing.assert_allclose(snippet_errors(cut, moved), 0, atol=1e-9)
+
+
+def test_rotations_are_not_scored_in_snippets():
+    truth = wander(10, 3)
+    turned = truth.copy()
+    turned[1:, :3, :3] = Rotation.random(9, rng=np.random.default_rng(0)).as_matrix()
+    assert snippet_errors(truth[None, :5], turned[None, :5])["ate"].tolist() == pytest.approx([0], abs=1e-12)
+
+
+def test_a_prediction_that_does_not_move_keeps_scale_1():
+    still = np.tile(wander(9, 0)[-1], (3, 1, 1))[None]  # anywhere: rounding must not count as movement
+    errors = snippet_errors(straight(3)[None], still)
+    assert errors["ate"].tolist() == pytest.approx([math.sqrt(1 + 4) / 3])
+    assert errors["rmse"].tolist() == pytest.approx([math.sqrt(5 / 3)])
+
+
+def test_snippets_overlap_and_cross_no_gap():
+    poses = straight(7)
+    assert snippets(poses, 3)[:, :, 2, 3].tolist() == [[k, k + 1, k + 2] for k in range(5)]
+    kept = snippets(poses, 3, np.array([0, 1, 2, 4, 5, 6, 7]))
+    assert kept[:, :, 2, 3].tolist() == [[0, 1, 2], [3, 4, 5], [4, 5, 6]]
+    assert snippets(poses[:2], 3).shape == (0, 3, 4, 4) == snippets(poses[:2], 3, np.arange(2)).shape
+    assert len(snippet_errors(snippets(poses[:2], 3), snippets(poses[:2], 3))) == 0
+
+
+def test_snippets_of_other_shapes_are_refused():
+    with pytest.raises(InputError, match=r"\(5, 3, 4, 4\) but predicted ones \(4, 3, 4, 4\)"):
+        snippet_errors(snippets(straight(7), 3), snippets(straight(6), 3))
+
+
+@pytest.mark.parametrize("with_scale", [True, False])
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_umeyama_equals_scipy_also_where_a_mirror_image_would_fit(with_scale, mirrored):
+    rng = np.random.default_rng(0)
+    source = rng.normal(0, (5, 3, 1), (50, 3))
+    target = 2.5 * source @ Rotation.random(rng=rng).as_matrix().T * ([-1, 1, 1] if mirrored else 1) + [4, 5, 6]
+    target += rng.normal(0, 0.1, target.shape)
+    found, expected = umeyama(source, target, with_scale=with_scale), slow_alignment(source, target, with_scale)
+    for ours, theirs in zip(found, expected):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=1e-6)
+    assert np.linalg.det(found[0]) == pytest.approx(1)
+
+
+def test_points_that_are_all_one_have_scale_1():
+    rotation, shift, scale = umeyama(np.ones((4, 3)), np.random.default_rng(0).normal(size=(4, 3)))
+    assert scale == 1 and np.isfinite(shift).all() and np.linalg.det(rotation) == pytest.approx(1)
+
+
+@pytest.mark.parametrize("how", odometry.ALIGNMENTS)
+def test_alignments_equal_the_slow_reference(how):
+    truth, prediction = wander(80, 4), scaled(wander(80, 5), 0.1)
+    moved = np.linalg.inv(prediction[0]) @ prediction
+    target = (np.linalg.inv(truth[0]) @ truth)[:, :3, 3]
+    own = moved[:, :3, 3]
+    rotation, shift, scale = np.eye(3), np.zeros(3), 1.0
+    if how == "scale":
+        scale = np.vdot(own, target) / np.vdot(own, own)
+    elif how != "none":
+        rotation, shift, scale = slow_alignment(own, target, how != "6dof")
+        if how == "scale_7dof":
+            rotation, shift = np.eye(3), np.zeros(3)
+    expected = [pose(rotation @ m[:3, :3], scale * rotation @ m[:3, 3] + shift) for m in moved]
+    np.testing.assert_allclose(aligned(prediction, truth, how), expected, atol=1e-8)
+
+
+def test_alignment_undoes_what_it_can():
+    truth = circle(60, 10.0)
+    prediction = pose(yaw(0.8), (1, 2, 3)) @ scaled(relative(truth), 0.2)
+    np.testing.assert_allclose(aligned(prediction, truth, "7dof"), relative(truth), atol=1e-9)
+    np.testing.assert_allclose(aligned(prediction, truth, "scale"), relative(truth), atol=1e-9)
+    rigid = aligned(prediction, truth, "6dof") - relative(truth)
+    np.testing.assert_allclose(np.linalg.norm(rigid[:, :3, 3], axis=1), 0.8 * 10)  # the circles have one centre
+
+
+@pytest.mark.parametrize("how", odometry.ALIGNMENTS)
+def test_a_prediction_that_does_not_move_is_aligned_to_finite_poses(how):
+    still = np.tile(np.eye(4), (20, 1, 1))
+    assert np.isfinite(aligned(still, circle(20, 3.0), how)).all()
+
+
+def test_an_unknown_alignment_is_named():
+    with pytest.raises(InputError, match="'sim3' is unknown; choose one of 7dof, none"):
+        aligned(straight(3), straight(3), "sim3")
+
+
+def test_segments_equal_the_slow_reference():
+    truth, prediction = wander(700, 6), wander(700, 7)
+    errors = segment_errors(drive(truth), drive(prediction)).set_index(["first", "length"])
+    expected = slow_segments(truth, dict(enumerate(prediction)))
+    assert list(errors.index) == list(expected) and {length for _, length in expected} == set(odometry.SEGMENTS)
+    assert errors["last"].tolist() == [last for last, _, _ in expected.values()]
+    np.testing.assert_allclose(errors[["t_err", "r_err"]], [row[1:] for row in expected.values()], rtol=1e-6)
+
+
+def test_segments_need_both_ends_and_measure_along_the_whole_true_path():
+    truth, prediction = wander(400, 8), wander(400, 9)
+    frames = np.flatnonzero(np.random.default_rng(0).random(400) < 0.7)
+    errors = segment_errors(drive(truth), drive(prediction[frames], frames)).set_index(["first", "length"])
+    expected = slow_segments(truth, {k: prediction[k] for k in frames.tolist()})
+    assert 20 < len(expected) < len(slow_segments(truth, dict(enumerate(prediction))))
+    assert list(errors.index) == list(expected)
+    np.testing.assert_allclose(errors["t_err"], [row[1] for row in expected.values()], rtol=1e-6)
+
+
+def test_a_segment_ends_at_the_first_frame_beyond_its_length():
+    errors = segment_errors(drive(straight(202)), drive(straight(202, 0.9)))
+    assert [(r.first, r.last, r.length) for r in errors.itertuples()][:2] == [(0, 101, 100), (0, 201, 200)]
+    np.testing.assert_allclose(errors["t_err"], [100 * 0.1 * (length + 1) / length for length in errors["length"]])
+
+
+def test_yaw_drift_in_closed_form():
+    truth = straight(300)
+    prediction = truth.copy()
+    prediction[:, :3, :3] = [yaw(np.radians(0.02 * k)) for k in range(300)]
+    result = trajectory_errors(drive(truth), drive(prediction), "none")
+    lengths = segment_errors(drive(truth), drive(prediction))["length"]
+    assert result["r_err"] == pytest.approx(np.mean([0.02 * (n + 1) / n * 100 for n in lengths]), rel=1e-6)
+    assert result["rpe_r"] == pytest.approx(0.02, rel=1e-4)
+    assert result["ate"] == 0 and result["segments"] == len(lengths)
+
+
+def test_a_wrong_scale_in_closed_form():
+    truth, prediction = straight(401, 2.0), straight(401, 1.5)
+    result = trajectory_errors(drive(truth), drive(prediction), "none")
+    lengths = segment_errors(drive(truth), drive(prediction))["length"]
+    assert result["t_err"] == pytest.approx(np.mean([100 * 0.25 * (n + 2) / n for n in lengths]))
+    assert result["ate"] == pytest.approx(0.5 * math.sqrt(sum(k * k for k in range(401)) / 401))
+    assert result["rpe_t"] == pytest.approx(0.5) and result["rpe_r"] == 0 == result["r_err"]
+    for how in ("7dof", "scale", "scale_7dof"):
+        mended = trajectory_errors(drive(truth), drive(prediction), how)
+        assert [mended[name] for name in ("t_err", "ate", "rpe_t")] == pytest.approx([0, 0, 0], abs=1e-9)
+
+
+def test_the_7dof_alignment_is_the_default():
+    truth, prediction = drive(wander(200, 10)), drive(wander(200, 11))
+    assert trajectory_errors(truth, prediction) == trajectory_errors(truth, prediction, "7dof")
+    assert trajectory_errors(truth, prediction) != trajectory_errors(truth, prediction, "6dof")
+
+
+def test_neighbours_have_consecutive_numbers():
+    truth = straight(30)
+    frames = [0, 1, 2, 10, 11, 20]
+    prediction = drive(scaled(truth[frames], 0.5), frames)
+    result = trajectory_errors(drive(truth), prediction, "none")
+    assert result["rpe_t"] == pytest.approx(0.5)
+    lonely = trajectory_errors(drive(truth), drive(truth[[0, 10, 20]], [0, 10, 20]), "none")
+    assert math.isnan(lonely["rpe_t"]) and math.isnan(lonely["rpe_r"]) and lonely["ate"] == 0
+
+
+def test_a_short_trajectory_has_no_segments():
+    result = trajectory_errors(drive(straight(101)), drive(straight(101, 0.9)), "none")
+    assert result["segments"] == 0 and math.isnan(result["t_err"]) and math.isnan(result["r_err"])
+    assert result["rpe_t"] == pytest.approx(0.1)
+    assert trajectory_errors(drive(straight(102)), drive(straight(102)))["segments"] == 1
+
+
+def test_errors_do_not_depend_on_where_the_world_has_its_origin():
+    truth, prediction = wander(300, 12), wander(300, 13)
+    moved = pose(yaw(2.0), (50, 0, -9)) @ prediction
+    expected = trajectory_errors(drive(truth), drive(prediction), "none")
+    assert trajectory_errors(drive(truth), drive(moved), "none") == pytest.approx(expected, rel=1e-6)
+
+
+def test_the_mean_step_counts_every_step_once():
+    turned = pose(yaw(1.2), (5, 5, 5)) @ straight(2, 4.0)
+    np.testing.assert_allclose(odometry.mean_step([straight(4), turned]), [0, 0, (3 * 1 + 4) / 4], atol=1e-12)
+
+
+def test_controls_move_as_they_say():
+    step = np.array([0.1, -0.2, 0.9])
+    poses = odometry.constant_velocity(np.array([3, 4, 8]), step)
+    np.testing.assert_allclose(poses[:, :3, 3], [3 * step, 4 * step, 8 * step])
+    assert (poses[:, :3, :3] == np.eye(3)).all()
+    np.testing.assert_array_equal(odometry.straight_ahead(4), straight(4))
+    truth = wander(5, 14)
+    np.testing.assert_allclose(odometry.inverted(truth), [np.linalg.inv(np.linalg.inv(truth[0]) @ p) for p in truth])
+
+
+@pytest.fixture(scope="module")
+def truths():
+    if not REAL.is_dir():
+        pytest.skip("no real KITTI poses beside the repository (../shared/data)")
+    return {f"{n:02d}": read_trajectory(REAL / "poses" / f"{n:02d}.txt") for n in range(11)}
+
+
+def test_golden_mean_step(truths):
+    step = odometry.mean_step(truths[f"{n:02d}"].poses for n in range(9))
+    assert [f"{value:.6f}" for value in step] == ["-0.000627", "-0.017538", "0.957447"]
+
+
+SNIPPET_GOLDEN = {
+    ("constant", "09", 3): ("0.0163", "0.0130"),
+    ("constant", "10", 3): ("0.0131", "0.0127"),
+    ("constant", "09", 5): ("0.0323", "0.0260"),
+    ("constant", "10", 5): ("0.0237", "0.0234"),
+    ("straight", "09", 3): ("0.0237", "0.0109"),
+    ("straight", "10", 3): ("0.0181", "0.0122"),
+    ("straight", "09", 5): ("0.0419", "0.0223"),
+    ("straight", "10", 5): ("0.0304", "0.0222"),
+    ("inverted", "09", 3): ("0.0150", "0.0128"),
+    ("inverted", "10", 3): ("0.0088", "0.0102"),
+    ("inverted", "09", 5): ("0.0403", "0.0352"),
+    ("inverted", "10", 5): ("0.0232", "0.0278"),
+}
+
+
+@pytest.mark.parametrize("control, sequence, length", list(SNIPPET_GOLDEN))
+def test_golden_snippets(truths, control, sequence, length):
+    poses = truths[sequence].poses
+    truth = snippets(poses, length)
+    if control == "inverted":
+        prediction = odometry.inverted(truth)
+    elif control == "straight":
+        prediction = snippets(odometry.straight_ahead(len(poses)), length)
+    else:
+        step = odometry.mean_step(truths[f"{n:02d}"].poses for n in range(9))
+        prediction = snippets(odometry.constant_velocity(truths[sequence].frames, step), length)
+    ate = snippet_errors(truth, prediction)["ate"]
+    assert (f"{ate.mean():.4f}", f"{ate.std(ddof=0):.4f}") == SNIPPET_GOLDEN[control, sequence, length]
+    assert len(ate) == {"09": 1591, "10": 1201}[sequence] - length + 1
+
+
+@pytest.mark.parametrize("sequence, length, rmse", [("09", 3, 0.041), ("10", 3, 0.0314), ("09", 5, 0.0938), ("10", 5, 0.068)])
+def test_golden_true_rmse_of_straight_ahead(truths, sequence, length, rmse):
+    poses = truths[sequence].poses
+    errors = snippet_errors(snippets(poses, length), snippets(odometry.straight_ahead(len(poses)), length))
+    assert errors["rmse"].mean() == pytest.approx(rmse, abs=6e-5)
+
+
+TRAJECTORY_GOLDEN = {
+    ("example_1", "none"): ("2.61 0.29 17.92", "2.29 0.37 9.04"),
+    ("example_1", "scale"): ("2.67 0.29 17.88", "2.28 0.37 9.03"),
+    ("example_1", "scale_7dof"): ("2.53 0.29 18.35", "2.22 0.37 9.56"),
+    ("example_1", "6dof"): ("2.61 0.29 10.88", "2.29 0.37 3.72"),
+    ("example_1", "7dof"): ("2.53 0.29 10.73", "2.22 0.37 3.36"),
+    ("example_0", "none"): ("72.11 0.25 349.64", "82.07 0.30 425.38"),
+    ("example_0", "scale"): ("2.87 0.25 10.64", "3.90 0.30 12.93"),
+    ("example_0", "7dof"): ("2.88 0.25 8.39", "3.30 0.30 6.63"),
+}
+
+
+@pytest.mark.parametrize("example, align", list(TRAJECTORY_GOLDEN))
+def test_golden_trajectories(truths, example, align):
+    for sequence, golden in zip(("09", "10"), TRAJECTORY_GOLDEN[example, align]):
+        result = trajectory_errors(truths[sequence], read_trajectory(REAL / "predictions" / example / f"{sequence}.txt"), align)
+        assert " ".join(f"{result[name]:.2f}" for name in ("t_err", "r_err", "ate")) == golden
+        if (example, align) == ("example_1", "none"):
+            steps = f"{result['rpe_t']:.3f} {result['rpe_r']:.3f}"
+            assert steps == {"09": "0.056 0.037", "10": "0.047 0.043"}[sequence]
+
+
+@pytest.mark.parametrize("align", odometry.ALIGNMENTS)
+def test_the_truth_scores_zero_against_itself_and_its_inverse_does_not(truths, align):
+    truth = truths["09"]
+    result = trajectory_errors(truth, truth, align)
+    assert result.pop("segments") > 900
+    assert list(result.values()) == pytest.approx([0] * 5, abs=1e-5)
+    wrong = trajectory_errors(truth, truth._replace(poses=odometry.inverted(truth.poses)), align)
+    assert wrong["t_err"] > 50 and wrong["r_err"] > 20

@@ -1,0 +1,129 @@
+"""Regions against a slow reference and closed forms."""
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+
+from dualdepth.errors import InputError
+from dualdepth.evaluation.depth import METRICS, evaluate
+from dualdepth.evaluation.regions import REGIONS, evaluate_regions
+
+ROAD, GREEN = "Road", "Tree & grass"
+
+
+def slow_metrics(pairs):
+    """The seven metrics of (truth, prediction) pairs, one by one."""
+    n = len(pairs)
+    return {
+        "abs_rel": sum(abs(g - p) / g for g, p in pairs) / n,
+        "sq_rel": sum((g - p) ** 2 / g for g, p in pairs) / n,
+        "rmse": math.sqrt(sum((g - p) ** 2 for g, p in pairs) / n),
+        "rmse_log": math.sqrt(sum((math.log(g) - math.log(p)) ** 2 for g, p in pairs) / n),
+        **{f"a{k}": sum(max(g / p, p / g) < 1.25**k for g, p in pairs) / n for k in (1, 2, 3)},
+        "valid_pixels": n,
+    }
+
+
+def slow_regions(prediction, truth, labels, kind, min_depth, max_depth):
+    """Metrics of an image's regions without a crop; the resize alone is OpenCV's, which the protocol names."""
+    height, width = truth.shape
+    depth = cv2.resize(prediction if kind == "depth" else 1 / prediction, (width, height))
+    places = [(r, c) for r in range(height) for c in range(width) if min_depth < truth[r, c] < max_depth]
+    ratio = np.median([truth[place] for place in places]) / np.median([depth[place] for place in places])
+    inside = {ROAD: [place for place in places if labels[place] == 0], GREEN: [place for place in places if labels[place] in (8, 9)]}
+    return {
+        name: slow_metrics([(float(truth[place]), min(max(float(depth[place]) * ratio, min_depth), max_depth)) for place in chosen])
+        for name, chosen in inside.items()
+    }
+
+
+def sample(seed, size=(23, 31)):
+    """A random prediction, a sparse truth, and labels of all kinds."""
+    rng = np.random.default_rng(seed)
+    truth = np.where(rng.random(size) < 0.5, rng.uniform(0.5, 70, size), 0).astype(np.float32)
+    labels = rng.choice(np.array([0, 1, 7, 8, 9, 10, 255], np.uint8), size)
+    return rng.uniform(0.02, 3, (8, 11)).astype(np.float32), truth, labels
+
+
+@pytest.mark.parametrize("kind", ["depth", "disparity"])
+def test_both_regions_equal_the_slow_reference(kind):
+    samples = [sample(seed) for seed in range(3)]
+    settings = {"min_depth": 2.0, "max_depth": 60.0}
+    frame = evaluate_regions(*zip(*samples), kind=kind, crop="none", **settings)
+    assert list(frame.index) == [(image, region) for image in range(3) for region in (ROAD, GREEN)]
+    assert frame.index.names == ["image", "region"]
+    for image, given in enumerate(samples):
+        for region, expected in slow_regions(*given, kind, **settings).items():
+            for name, value in expected.items():
+                assert frame.loc[(image, region), name] == pytest.approx(value, rel=1e-5), (image, region, name)
+
+
+def test_road_is_road_alone_and_green_is_vegetation_and_terrain():
+    assert REGIONS == {ROAD: (0,), GREEN: (8, 9)}
+    truth = np.full((1, 256), 10.0)
+    frame = evaluate_regions([truth], [truth], [np.arange(256, dtype=np.uint8)[None]], crop="none")
+    assert frame["valid_pixels"].to_dict() == {(0, ROAD): 1, (0, GREEN): 2}
+
+
+def test_an_image_has_one_ratio_of_all_its_pixels():
+    truth = np.array([[10.0, 10, 10, 40, 40]])
+    prediction = np.array([[1.0, 1, 1, 2, 2]])  # times ten all but the road is exact, the road half of what it should be
+    labels = np.array([[8, 2, 2, 0, 0]], np.uint8)
+    frame = evaluate_regions([prediction], [truth], [labels], crop="none")
+    assert frame["abs_rel"].to_dict() == pytest.approx({(0, ROAD): 0.5, (0, GREEN): 0})
+
+
+def test_depth_is_clamped_after_scaling():
+    truth = np.array([[10.0, 10, 10, 50]])
+    frame = evaluate_regions([np.array([[1.0, 1, 1, 900]])], [truth], [np.array([[8, 8, 8, 0]], np.uint8)], crop="none", max_depth=60)
+    assert frame.loc[(0, ROAD), "abs_rel"] == pytest.approx(10 / 50)
+
+
+def test_labels_outside_the_crop_and_where_nothing_is_measured_do_not_count():
+    truth = np.full((100, 200), 10.0)
+    truth[50] = 0
+    labels = np.full(truth.shape, 255, np.uint8)
+    labels[:60] = 0  # the crop begins at row 40, columns 7 to 192
+    frame = evaluate_regions([np.ones((5, 10))], [truth], [labels])
+    assert frame["valid_pixels"].to_dict() == {(0, ROAD): 19 * (192 - 7)}
+
+
+def test_images_with_too_few_pixels_of_a_region_have_no_row_for_it():
+    truth = np.full((1, 8), 10.0)
+    labels = [np.array([row], np.uint8) for row in ([0] * 5 + [8] * 3, [0] * 4 + [9] * 4, [2] * 8, [0] + [2] * 7)]
+    counted = [list(evaluate_regions([truth] * 4, [truth] * 4, labels, crop="none", least=least).index) for least in (1, 4, 5)]
+    assert counted[0] == [(0, ROAD), (0, GREEN), (1, ROAD), (1, GREEN), (3, ROAD)]
+    assert counted[1] == [(0, ROAD), (1, ROAD), (1, GREEN)]
+    assert counted[2] == [(0, ROAD)]
+
+
+def test_images_without_a_valid_pixel_keep_the_places_of_the_others():
+    depth, labels = np.full((20, 40), 10.0), np.zeros((20, 40), np.uint8)
+    assert list(evaluate_regions([depth] * 3, [depth, 0 * depth, depth], [labels] * 3).index) == [(0, ROAD), (2, ROAD)]
+
+
+def test_a_region_that_is_the_whole_image_scores_as_the_image():
+    samples = [sample(seed, (40, 60)) for seed in range(2)]
+    predictions, truths, labels = zip(*samples)
+    whole = evaluate(predictions, truths, kind="disparity")
+    region = evaluate_regions(predictions, truths, [0 * one for one in labels], kind="disparity")
+    columns = [*METRICS, "valid_pixels"]
+    np.testing.assert_array_equal(region[columns], whole[columns])
+
+
+def test_bad_input_is_one_clear_error():
+    depth, labels = np.full((20, 40), 10.0), np.zeros((20, 40), np.uint8)
+    with pytest.raises(InputError, match="image 1: the label map is of 20x39 pixels, the ground truth of 20x40"):
+        evaluate_regions([depth] * 2, [depth] * 2, [labels, labels[:, 1:]])
+    with pytest.raises(InputError, match="2 predictions, 2 ground truths and 1 label maps; give one of each"):
+        evaluate_regions([depth] * 2, [depth] * 2, [labels])
+    with pytest.raises(InputError, match="1 predictions, 2 ground truths"):
+        evaluate_regions([depth], [depth] * 2, [labels] * 2)
+    with pytest.raises(InputError, match="image 1: the depth holds NaN"):
+        evaluate_regions([depth, depth * np.nan], [depth] * 2, [labels] * 2)
+    with pytest.raises(InputError, match=r"none of the 1 images has 1 valid pixel of Road or Tree & grass; check the label maps"):
+        evaluate_regions([depth], [depth], [labels + 2])
+    with pytest.raises(InputError, match="least 0: must be 1 or more"):
+        evaluate_regions([depth], [depth], [labels], least=0)

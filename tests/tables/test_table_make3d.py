@@ -1,0 +1,207 @@
+"""Make3D's table: made predictions whose faults are known give the numbers that follow, and are kept while they fit."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from dualdepth import paper
+from dualdepth.data.depth_maps import save_ground_truth
+from dualdepth.errors import InputError
+from dualdepth.evaluation.make3d import CONVENTIONS, METRICS, ROWS, visible
+from dualdepth.preparation import Sources
+from dualdepth.tables import make3d
+from dualdepth.tables.make3d import NOT_RUN, VARIANTS, load_photos, make3d_claims, make3d_examples, make3d_table, score_make3d
+from dualdepth.tables.rows import COMPARISON
+
+FAULT = {"lr": 0.4, "dual_no_sa": 0.3, "dual": 0.2}
+"""By how much each network is too far in the right fifth of the photo; elsewhere it is exact."""
+PHOTOS = 3
+
+
+def grid(number):
+    """Near depth, and far depth in the right fifth, so that the median is that of exact depth."""
+    rng = np.random.default_rng(number)
+    return np.concatenate([rng.uniform(2, 20, (55, 244)), rng.uniform(30, 39, (55, 61))], axis=1)
+
+
+def write_photos(root):
+    """Photos whose brightness is their number, with their grids."""
+    for folder in ("Test134", "Gridlaserdata"):
+        (root / folder).mkdir(parents=True)
+    for number in range(PHOTOS):
+        photo = np.full((160, 120, 3), 40 * number, np.uint8)
+        (root / "Test134" / f"img-{number}.jpg").write_bytes(cv2.imencode(".jpg", photo)[1].tobytes())
+        points = np.zeros((55, 305, 4))
+        points[..., 3] = grid(number)
+        savemat(root / "Gridlaserdata" / f"depth_sph_corr-{number}.mat", {"Position3DGrid": points})
+
+
+@pytest.fixture
+def run(make_run, cards, tmp_path, monkeypatch):
+    """A run with photos and weights, whose networks know the grids; `run.predicted` lists what was predicted."""
+    run = make_run()
+    write_photos(tmp_path / "photos")
+    Sources(tmp_path, tmp_path, make3d_root=tmp_path / "photos").save(run)
+    cards |= {variant: {"drives": ["x"]} for variant in VARIANTS}
+    for variant in VARIANTS:
+        for seed in (0, 1):
+            run.training(variant, seed).mkdir(parents=True)
+            run.weights(variant, seed).write_bytes(b"%s %d" % (variant.encode(), seed))
+    run.predicted = []
+
+    def predict(net, paths, *, device, read):
+        shown = [read(path) for path in paths]
+        assert [round(photo.mean() / 40) for photo in shown] == [int(path.stem[4:]) for path in paths]
+        whole = shown[0].shape[:2] == (160, 120)
+        assert whole or shown[0].shape[:2] == (60, 120)
+        run.predicted.append((net, "whole" if whole else "band", len(paths)))
+        variant, seed = net.split()
+        wrong = np.where(np.arange(305) >= 244, 1 + FAULT.get(variant, 1.0) + 0.1 * int(seed), 1)
+        truths = [grid(int(path.stem[4:])) for path in paths]
+        return np.stack([0.7 / ((truth if whole else truth[ROWS]) * wrong) for truth in truths])  # of any scale
+
+    monkeypatch.setattr(make3d, "code_digest", lambda *steps: "this")  # parses the package at every call
+    monkeypatch.setattr(make3d, "load_depth_net", lambda path: path.read_text())
+    monkeypatch.setattr(make3d, "untrained_net", lambda run, seed: f"untrained {seed}")
+    monkeypatch.setattr(make3d, "predict_disparities", predict)
+    return run
+
+
+def test_the_papers_rows_are_all_there_and_unchanged(run, check_paper_rows):
+    check_paper_rows(make3d_table(run, [0]), paper.table("make3d"))
+
+
+def test_each_network_has_a_row_for_each_convention(run):
+    table = make3d_table(run, [0, 1]).query("source == 'measured'")
+    rows = table.dropna(subset="variant").set_index(["variant", "convention"])
+    assert set(rows.index) == {(variant, convention) for variant in VARIANTS for convention in CONVENTIONS}
+    for (variant, _), row in rows.iterrows():
+        assert row["abs_rel"] == pytest.approx((FAULT[variant] + 0.05) / 5)
+        assert row["abs_rel_std"] == pytest.approx(0.1 / 5 / 2**0.5)
+        assert row["n"] == PHOTOS and row["seeds"] == "0 1" and row["supervision"] == "-"
+        assert row["note"].startswith("resnet18, ") and row["note"].endswith("not fine-tuned")
+        assert row[list(METRICS)].notna().all()
+    np.testing.assert_allclose(rows.loc[("lr", "band"), METRICS], rows.loc[("lr", "whole"), METRICS])
+    untrained = table[table["method"] == "LR-Net, untrained"]
+    assert untrained["convention"].tolist() == list(CONVENTIONS) and untrained["abs_rel"].min() > rows["abs_rel"].max()
+
+
+def test_constants_are_scored_as_the_networks_are_and_the_mean_as_it_is(run):
+    save_ground_truth(run.prepared / "baseline_truth.npz", [np.full((8, 9), 12.5)])
+    table = make3d_table(run, [0]).set_index("method")
+    grids = [grid(number)[ROWS] for number in range(PHOTOS)]
+    expected = [np.abs(1 - np.median(g) / g).mean() for g in grids]
+    assert table.loc["Constant depth", "abs_rel"] == pytest.approx(np.mean(expected))
+    mean = table[table["source"] == "measured"].loc["Train set mean"]
+    assert mean["abs_rel"] == pytest.approx(np.mean([np.abs(1 - 12.5 / g).mean() for g in grids]))
+    assert mean["supervision"] == "Depth" and mean["note"].startswith("12.5 m, mean of training-side laser frames")
+    assert mean["n"] == PHOTOS and mean["convention"] == "either"
+
+
+def test_without_training_side_laser_frames_their_mean_has_no_row(run):
+    assert (make3d_table(run, [0]).query("source == 'measured'")["method"] == "Train set mean").sum() == 0
+
+
+def test_a_truncated_photo_is_told_in_the_notes(run, tmp_path):
+    path = tmp_path / "photos" / "Test134" / "img-1.jpg"
+    path.write_bytes(path.read_bytes()[:-2])
+    notes = make3d_table(run, [0]).dropna(subset="variant")["note"]
+    assert notes.str.endswith("not fine-tuned; img-1.jpg is truncated").all()
+
+
+def test_without_make3d_root_the_rows_say_how_to_get_it(run, tmp_path):
+    Sources(tmp_path, tmp_path).save(run)
+    measured = make3d_table(run, [0]).query("source == 'measured'")
+    assert len(measured) == 1 + 2 * 4 and measured["note"].eq(NOT_RUN).all()
+    assert measured[["abs_rel", "sq_rel", "rmse"]].isna().all(axis=None)
+    assert NOT_RUN == "not run: no MAKE3D_ROOT; get it with python data_scripts/download_make3d.py --root DIR"
+    claims = make3d_claims(run, [0])
+    assert list(claims.columns) == COMPARISON and claims["in_words"].tolist() == [NOT_RUN]
+    assert load_photos(run) is None and make3d_examples(run, "lr", 0) is None
+    with pytest.raises(InputError, match="no MAKE3D_ROOT"):
+        score_make3d(run, "lr", 0, convention="band")
+
+
+def test_a_network_that_is_not_trained_keeps_its_rows_and_says_why(run, make_run):
+    own = make_run("own", text="about: x\ndata:\n  source: kitti\n  train_list: eigen_zhou\ntrain: {lr: , dual: }\n")
+    Sources.load(run).save(own)
+    for variant in ("lr", "dual"):
+        own.training(variant, 0).mkdir(parents=True)
+        own.weights(variant, 0).write_bytes(run.weights(variant, 0).read_bytes())
+    rows = make3d_table(own, [0]).query("variant == 'dual_no_sa'")
+    assert len(rows) == 2 and rows["abs_rel"].isna().all()
+    assert rows["note"].eq("not run: profile own does not train it").all()
+
+
+def test_the_claim_is_paired_on_the_band(run):
+    claims = make3d_claims(run, [0, 1])
+    assert claims[["a", "b", "metric", "n"]].values.tolist() == [["dual", "lr", "abs_rel", PHOTOS]]
+    assert claims.loc[0, "difference"] == pytest.approx(-0.04) and claims.loc[0, "in_words"].startswith("better by 0.04")
+    assert {convention for _, convention, _ in run.predicted} == {"band"}
+
+
+def test_what_was_scored_is_kept_and_read_again(run):
+    first = score_make3d(run, "lr", 0, convention="band")
+    assert (run.training("lr", 0) / "make3d_band.csv").is_file()
+    np.testing.assert_allclose(score_make3d(run, "lr", 0, convention="band"), first, rtol=1e-12)
+    assert run.predicted == [("lr 0", "band", PHOTOS)]
+    score_make3d(run, "lr", 0, convention="whole")
+    assert run.predicted[1:] == [("lr 0", "whole", PHOTOS)]
+
+
+@pytest.mark.parametrize("change", ["weights", "photo", "grid", "code", "protocol", "damaged stamp", "no stamp"])
+def test_whatever_shapes_the_scores_makes_them_anew(run, tmp_path, monkeypatch, change):
+    old, stamp = score_make3d(run, "lr", 0, convention="band"), run.training("lr", 0) / "make3d_band.json"
+    if change == "weights":
+        run.weights("lr", 0).write_bytes(b"lr 5")
+    elif change == "photo":
+        path = tmp_path / "photos" / "Test134" / "img-0.jpg"
+        path.write_bytes(path.read_bytes() + b"\0")
+    elif change == "grid":
+        points = np.zeros((55, 305, 4))
+        points[..., 3] = grid(77)
+        savemat(tmp_path / "photos" / "Gridlaserdata" / "depth_sph_corr-0.mat", {"Position3DGrid": points})
+    elif change == "code":
+        monkeypatch.setattr(make3d, "code_digest", lambda *steps: "another")
+    elif change == "protocol":
+        digest = make3d.file_digest
+        monkeypatch.setattr(make3d, "file_digest", lambda path: "another" if path.suffix == ".py" else digest(path))
+    elif change == "damaged stamp":
+        stamp.write_text("{")
+    else:
+        stamp.unlink()
+    new = score_make3d(run, "lr", 0, convention="band")
+    assert len(run.predicted) == 2
+    assert (new["abs_rel"] != old["abs_rel"]).any() == (change in ("weights", "grid"))
+    assert json.loads(stamp.read_text())["photos"]
+
+
+def test_missing_weights_name_the_notebook(run):
+    run.weights("dual", 1).unlink()
+    with pytest.raises(InputError, match="run notebook 04_train_hr, variant dual, seed 1, with profile tiny first"):
+        score_make3d(run, "dual", 1, convention="band")
+
+
+def test_examples_show_the_band_with_depth_in_metres(run):
+    examples = make3d_examples(run, "dual", 0, count=2, size=(42, 610))
+    assert examples.titles == ["img-0.jpg", "img-2.jpg"]
+    for number, image, truth, prediction in zip((0, 2), *examples[:3]):
+        assert image.shape == (42, 610, 3) and truth.shape == prediction.shape == (42, 610)
+        np.testing.assert_array_equal(truth[::2, ::2], grid(number)[ROWS])
+        error = np.abs(prediction - truth) / truth
+        assert np.median(error[:, 490:]) == pytest.approx(0.2) and prediction.max() <= 70
+
+
+def test_cells_that_are_not_scored_show_nothing(run, tmp_path):
+    points = np.zeros((55, 305, 4))
+    points[..., 3] = np.where(np.arange(305) < 100, 70, 5)
+    savemat(tmp_path / "photos" / "Gridlaserdata" / "depth_sph_corr-0.mat", {"Position3DGrid": points})
+    truth = make3d_examples(run, "dual", 0, count=1, size=(21, 305)).truths[0]
+    assert (truth[:, :100] == 0).all() and (truth[:, 100:] == 5).all()
+
+
+def test_the_band_is_what_the_network_is_shown(run):
+    assert visible(np.zeros((160, 120, 3)), "band").shape == (60, 120, 3)

@@ -1,0 +1,171 @@
+"""Regions: made predictions whose faults are known give the numbers that follow."""
+
+import cv2
+import numpy as np
+import pytest
+
+from dualdepth import paper
+from dualdepth.atomic import write_json
+from dualdepth.data.label_maps import label_path
+from dualdepth.errors import InputError
+from dualdepth.evaluation.depth import METRICS
+from dualdepth.evaluation.regions import REGIONS
+from dualdepth.preparation import Sources
+from dualdepth.scoring import label_map, scored_frames
+from dualdepth.tables import sa_region
+from dualdepth.tables.rows import COMPARISON
+from dualdepth.tables.sa_region import NO_LABELS, gain_row, labels_made_by, sa_region_claims, sa_region_table, score_region
+
+ROAD, GREEN = REGIONS
+FAULT = {("dual_no_sa", ROAD): 0.3, ("dual", ROAD): 0.1, ("dual_no_sa", GREEN): 0.1, ("dual", GREEN): 0.15}
+"""By how much each network is wrong; the median depth is a building's, which is exact, so the median ratio is that of exact depth."""
+REAL = "about: x\ndata:\n  source: kitti\n  train_list: eigen_zhou\ntrain: {lr: , dual: , dual_no_sa: }\n"
+
+
+def truths():
+    rng = np.random.default_rng(0)
+    columns = [rng.uniform(8.5, 19, (3, 30, 15)), rng.uniform(4, 7, (3, 30, 5)), rng.uniform(25, 50, (3, 30, 10))]
+    return list(np.concatenate(columns, axis=2))
+
+
+def labels(image):
+    """A building, trees over grass, a road; the last image has no green."""
+    row = np.repeat(np.array([2, 8, 0] if image < 2 else [2, 2, 0], np.uint8), [15, 5, 10])
+    made = np.tile(row, (30, 1))
+    made[20:][made[20:] == 8] = 9
+    return made
+
+
+@pytest.fixture
+def prepare(make_run, monkeypatch, tmp_path):
+    """A run with three scored frames, their label maps, and predictions with the faults."""
+    maps = truths()
+
+    class Given:
+        def __init__(self, run, variant, seed):
+            fault = {region: FAULT[variant, region] + 0.1 * seed * (region == ROAD) for region in REGIONS}
+            where = {region: [np.isin(labels(i), REGIONS[region]) for i in range(3)] for region in REGIONS}
+            wrong = [1 + sum(where[region][i] * fault[region] for region in REGIONS) for i in range(3)]
+            self.disparities = 0.7 / np.stack([t * w for t, w in zip(maps, wrong)])  # of any scale
+
+    monkeypatch.setattr(sa_region, "Predictions", Given)
+    monkeypatch.setattr(sa_region, "truth", lambda run: maps)
+
+    def prepare(*arguments, with_labels=True, **settings):
+        run = make_run(*arguments, frames=3, **settings)
+        root = tmp_path / "labels"
+        Sources(kitti_root=tmp_path, test_list=tmp_path, labels_root=root if with_labels else None).save(run)
+        for image, frame in enumerate(scored_frames(run)):
+            label_path(root, frame).parent.mkdir(parents=True, exist_ok=True)
+            cv2.imwrite(str(label_path(root, frame)), labels(image))
+        return run
+
+    return prepare
+
+
+@pytest.fixture
+def run(prepare):
+    return prepare()
+
+
+def test_the_papers_rows_are_all_there_and_unchanged(run, check_paper_rows):
+    check_paper_rows(sa_region_table(run, [0]), paper.table("sa_region"))
+
+
+def test_faults_of_a_region_show_in_its_rows_alone(run):
+    table = sa_region_table(run, [0, 1]).query("source == 'measured'").set_index(["variant", "region"])
+    assert len(table) == 4
+    for (variant, region), fault in FAULT.items():
+        row, by_seed = table.loc[(variant, region)], 0.1 * (region == ROAD)
+        assert row["abs_rel"] == pytest.approx(fault + by_seed / 2)
+        assert row["abs_rel_std"] == pytest.approx(by_seed / 2**0.5, abs=1e-9)
+        assert row["rmse_log"] == pytest.approx((np.log(1 + fault) + np.log(1 + fault + by_seed)) / 2)
+        assert row["n"] == (3 if region == ROAD else 2) and row["seeds"] == "0 1"
+
+
+def test_rows_bear_the_papers_names_in_its_order(run):
+    table = sa_region_table(run, [0])
+    measured, published = (table[table["source"] == source] for source in ("measured", "paper"))
+    assert measured[["region", "method"]].to_numpy().tolist() == published[["region", "method"]].to_numpy().tolist()
+    assert measured["variant"].tolist() == ["dual_no_sa", "dual"] * 2
+
+
+def test_notes_say_what_made_the_labels_and_how_many_images_have_the_region(run):
+    notes = sa_region_table(run, [0]).query("source == 'measured'").groupby("region")["note"].unique()
+    assert len(notes[ROAD]) == len(notes[GREEN]) == 1
+    assert notes[ROAD][0].endswith("last epoch, exact labels")
+    assert notes[GREEN][0].endswith("exact labels, 2 of 3 images; the others have fewer than 1 valid pixel of the region")
+
+
+def test_labels_of_real_frames_are_named_by_the_file_beside_them(prepare, tmp_path):
+    run = prepare("own", text=REAL)
+    assert labels_made_by(run) == "labels of unknown origin"
+    write_json(tmp_path / "labels" / "labels.json", {"model": "some/segformer"})
+    assert labels_made_by(run) == "labels by some/segformer"
+    assert "labels by some/segformer" in sa_region_table(run, [0])["note"].iloc[-1]
+    for text in ("{}", "[1]", "{"):
+        (tmp_path / "labels" / "labels.json").write_text(text)
+        with pytest.raises(InputError, match=r"labels\.json: names no model"):
+            labels_made_by(run)
+
+
+def test_without_label_maps_the_rows_are_there_and_say_how_to_make_them(prepare, check_paper_rows):
+    run = prepare(with_labels=False)
+    table = sa_region_table(run, [0])
+    check_paper_rows(table, paper.table("sa_region"))
+    measured = table.query("source == 'measured'")
+    assert len(measured) == 4 and measured[[*METRICS, "n"]].isna().all(axis=None) and set(measured["note"]) == {NO_LABELS}
+    assert "LABELS_ROOT" in NO_LABELS and "data_scripts/export_labels.py" in NO_LABELS
+    claims = sa_region_claims(run, [0, 1])
+    assert claims["region"].tolist() == [ROAD, GREEN] and set(claims["in_words"]) == {NO_LABELS}
+    assert list(claims.columns) == ["region", "seeds", *COMPARISON]
+
+
+def test_a_network_that_is_not_trained_keeps_its_rows_and_says_why(prepare):
+    run = prepare("own", text=REAL.replace(", dual_no_sa: ", ""))
+    rows = sa_region_table(run, [0]).query("variant == 'dual_no_sa'")
+    assert len(rows) == 2 and rows["abs_rel"].isna().all() and rows["note"].eq("not run: profile own does not train it").all()
+    claims = sa_region_claims(run, [0])
+    assert claims["region"].tolist() == [ROAD, GREEN]
+    assert claims["in_words"].eq("not run: profile own does not train dual_no_sa").all()
+
+
+def test_attention_is_judged_in_each_region_over_all_seeds_and_for_each(run):
+    claims = sa_region_claims(run, [0, 1])
+    assert list(claims.columns) == ["region", "seeds", *COMPARISON]
+    regions = claims.query("a == 'dual' and b == 'dual_no_sa' and metric == 'abs_rel'").set_index(["seeds", "region"])
+    assert list(regions.index) == [(seeds, region) for seeds in ("0 1", "0", "1") for region in (ROAD, GREEN)]
+    for seeds in ("0 1", "0", "1"):
+        assert regions.loc[(seeds, ROAD), "difference"] == pytest.approx(-0.2)
+        assert regions.loc[(seeds, GREEN), "difference"] == pytest.approx(0.05)
+        assert regions.loc[(seeds, ROAD), "n"] == 3 and regions.loc[(seeds, GREEN), "n"] == 2
+    assert regions.loc[("1", ROAD), "mean_b"] == pytest.approx(0.4)
+    assert regions.loc[("0 1", ROAD), "in_words"].startswith("better by 0.2: ")
+    assert regions.loc[("0 1", GREEN), "in_words"].startswith("worse by 0.05: ")
+    assert set(sa_region_claims(run, [0])["seeds"]) == {"0"}
+
+
+def test_the_gain_on_road_is_compared_with_that_on_green_in_images_that_have_both(run):
+    row = sa_region_claims(run, [0, 1]).query("region == 'Road against Tree & grass'").set_index("seeds").loc["0 1"]
+    assert [row["a"], row["b"]] == ["gain of dual, Road", "gain of dual, Tree & grass"]
+    assert [row["mean_a"], row["mean_b"], row["difference"]] == pytest.approx([0.2, -0.05, 0.25])
+    assert row["n"] == 2 and row["in_words"].startswith("better by 0.25: ")
+    assert gain_row(run, [1])["difference"] == pytest.approx(0.25)
+
+
+def test_a_training_is_evaluated_once(run, monkeypatch):
+    asked, evaluate = [], sa_region.evaluate_regions
+    monkeypatch.setattr(sa_region, "evaluate_regions", lambda *a, **k: asked.append(1) or evaluate(*a, **k))
+    sa_region_table(run, [0, 1])
+    sa_region_claims(run, [0, 1])
+    assert len(asked) == 4  # two networks, two seeds
+    assert list(score_region(run, "dual", 0, region=GREEN).index) == [0, 1] and len(asked) == 4
+
+
+def test_label_maps_are_read_from_the_runs_sources(prepare, tmp_path):
+    np.testing.assert_array_equal(label_map(prepare("own", text=REAL), 1), labels(1))
+    assert label_map(prepare(with_labels=False), 1) is None
+    run = prepare()
+    label_path(tmp_path / "labels", scored_frames(run)[2]).unlink()
+    with pytest.raises(InputError, match=r"0000000002\.png: cannot read the label map"):
+        label_map(run, 2)

@@ -1,0 +1,176 @@
+"""`dualdepth evaluate odometry` from outside: numbers, JSON, what cannot be measured, and one line for every mistake."""
+
+import json
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dualdepth.cli import build_parser, main
+from dualdepth.data.trajectories import read_trajectory, write_trajectory
+from dualdepth.evaluation.odometry import ALIGNMENTS, snippet_errors, snippets, trajectory_errors
+
+NAMES = ["t_err", "r_err", "ate", "rpe_t", "rpe_r", "snippet_ate_mean", "snippet_ate_std", "n"]
+
+
+def arc(count, turn, step):
+    """Poses on a circle: `turn` radians and `step` metres a frame."""
+    c, s = np.cos(turn), np.sin(turn)
+    move = np.array([[c, 0, s, 0], [0, 1, 0, 0], [-s, 0, c, step], [0, 0, 0, 1]])
+    poses = [np.eye(4)]
+    for _ in range(count - 1):
+        poses.append(poses[-1] @ move)
+    return np.stack(poses)
+
+
+@pytest.fixture
+def files(tmp_path, monkeypatch):
+    """pred.txt and gt.txt of 300 frames, about 300 m, in the working directory."""
+    monkeypatch.chdir(tmp_path)
+    wobble = 1 + 0.1 * np.sin(np.arange(300))[:, None]
+    prediction = arc(300, 0.0105, 0.3)
+    prediction[:, :3, 3] *= wobble
+    write_trajectory("pred.txt", prediction)
+    write_trajectory("gt.txt", arc(300, 0.01, 1.0))
+
+
+def run(*arguments, pred="pred.txt", gt="gt.txt"):
+    return main(["evaluate", "odometry", "--pred", pred, "--gt", gt, *arguments])
+
+
+def values_of(capsys, *arguments, **files):
+    assert run("--json", "-", *arguments, **files) == 0
+    captured = capsys.readouterr()
+    return json.loads(captured.out), captured.err
+
+
+def fails(capsys, *arguments, **files):
+    """The one line on stderr of a call that must end with exit code 2 and print nothing else."""
+    with pytest.raises(SystemExit) as stop:
+        run(*arguments, **files)
+    captured = capsys.readouterr()
+    assert stop.value.code == 2 and captured.out == ""
+    assert len(captured.err.splitlines()) == 1 and captured.err.startswith("error: ")
+    return captured.err
+
+
+@pytest.mark.parametrize("length", [3, 5])
+@pytest.mark.parametrize("align", ALIGNMENTS)
+def test_json_is_flat_and_equals_the_library(files, capsys, length, align):
+    values, notes = values_of(capsys, "--snippet", str(length), "--align", align)
+    prediction, truth = read_trajectory("pred.txt"), read_trajectory("gt.txt")
+    expected = trajectory_errors(truth, prediction, align)
+    assert expected.pop("segments") > 0 and notes == ""
+    ate = snippet_errors(snippets(truth.poses, length), snippets(prediction.poses, length))["ate"].to_numpy()
+    assert list(values) == NAMES
+    assert values == expected | {"snippet_ate_mean": ate.mean(), "snippet_ate_std": pytest.approx(np.std(ate)), "n": 301 - length}
+
+
+def test_defaults_are_the_first_choices(files, capsys):
+    assert values_of(capsys) == values_of(capsys, "--snippet", "3", "--align", "7dof")
+    assert values_of(capsys) != values_of(capsys, "--snippet", "5") and values_of(capsys) != values_of(capsys, "--align", "6dof")
+    arguments = ["evaluate", "odometry", "--pred", "p", "--gt", "g"]
+    assert build_parser().parse_args(arguments).align == ALIGNMENTS[0]
+
+
+def test_a_table_is_printed_and_the_json_file_written_beside_it(files, capsys):
+    run("--json", "out/result.json")
+    lines = dict(line.split() for line in capsys.readouterr().out.splitlines())
+    written = json.loads(Path("out/result.json").read_text())
+    assert list(lines) == list(written) == NAMES
+    assert float(lines["t_err"]) == pytest.approx(written["t_err"], abs=1e-4) and lines["n"] == "298"
+
+
+def test_the_truth_scores_zero(files, capsys):
+    values, _ = values_of(capsys, pred="gt.txt")
+    assert values.pop("n") == 298
+    assert list(values.values()) == pytest.approx([0] * 7, abs=1e-5)
+
+
+def test_frame_numbers_pair_the_poses_and_no_snippet_crosses_a_gap(files, capsys):
+    frames = np.array([2, 3, 4, 5, 8, 9, 10, 200])
+    write_trajectory("part.txt", read_trajectory("gt.txt").poses[frames], frames)
+    values, _ = values_of(capsys, "--align", "none", pred="part.txt")
+    assert values["n"] == 3 and values["ate"] == pytest.approx(0, abs=1e-9)
+    assert values["snippet_ate_mean"] == pytest.approx(0, abs=1e-9)
+    assert values_of(capsys, "--snippet", "5", pred="part.txt")[0]["n"] == 0
+
+
+def test_what_cannot_be_measured_is_null_and_said_in_words(files, capsys):
+    write_trajectory("short.txt", arc(50, 0.01, 1.0))
+    values, notes = values_of(capsys, pred="short.txt", gt="short.txt")
+    assert values["t_err"] is None and values["r_err"] is None and values["n"] == 48 and values["ate"] < 1e-9
+    assert notes == "note: t_err, r_err: none, since no segment of more than 100 m of the true path has both ends predicted\n"
+    run(pred="short.txt", gt="short.txt")
+    assert "t_err             none\n" in capsys.readouterr().out
+
+
+def test_frames_without_neighbours_have_no_steps_and_no_snippets(files, capsys):
+    frames, truth = np.arange(0, 300, 10), arc(300, 0.01, 1.005)  # 100 frames exceed 100 m, so both ends are there
+    write_trajectory("gt.txt", truth)
+    write_trajectory("sparse.txt", truth[frames], frames)
+    values, notes = values_of(capsys, pred="sparse.txt")
+    assert [name for name in NAMES if values[name] is None] == ["rpe_t", "rpe_r", "snippet_ate_mean", "snippet_ate_std"]
+    assert values["n"] == 0
+    assert "note: rpe_t, rpe_r: none, since no two frames have consecutive numbers\n" in notes
+    assert "note: snippet_ate: none, since no 3 frames have consecutive numbers\n" in notes
+
+
+def test_a_prediction_that_does_not_move_gives_numbers(files, capsys):
+    write_trajectory("still.txt", np.tile(np.eye(4), (300, 1, 1)))
+    for align in ALIGNMENTS:
+        values, notes = values_of(capsys, "--align", align, pred="still.txt")
+        assert all(np.isfinite(v) for v in values.values()) and notes == ""
+    assert values["snippet_ate_mean"] == pytest.approx(np.sqrt(1 + 4) / 3, rel=1e-3)
+
+
+def test_files_that_do_not_fit_are_named(files, capsys):
+    write_trajectory("short.txt", arc(50, 0.01, 1.0))
+    assert "short.txt has 50 poses but gt.txt has 300" in fails(capsys, pred="short.txt")
+    write_trajectory("later.txt", arc(5, 0.01, 1.0), np.arange(300, 305))
+    assert "later.txt has frames 300 to 304 and gt.txt 0 to 299: none in common" in fails(capsys, pred="later.txt")
+    write_trajectory("one.txt", arc(2, 0.01, 1.0), np.array([299, 300]))
+    assert "one.txt and gt.txt have only frame 299 in common" in fails(capsys, pred="one.txt")
+
+
+@pytest.mark.parametrize("option", ["pred", "gt"])
+def test_a_bad_file_is_one_line_and_nothing_is_written(files, capsys, option):
+    Path("bad.txt").write_text(Path("gt.txt").read_text() + "1 0 0 0 0 1 0 0 0 0 1\n")
+    assert "bad.txt, line 301: 11 numbers" in fails(capsys, "--json", "out.json", **{option: "bad.txt"})
+    assert "absent.txt: no such file" in fails(capsys, "--json", "out.json", **{option: "absent.txt"})
+    assert not Path("out.json").exists()
+
+
+@pytest.mark.parametrize(
+    "arguments, says",
+    [(["--snippet", "4"], "--snippet"), (["--align", "sim3"], "--align"), (["--json", "gt.txt/out.json"], "cannot write")],
+)
+def test_bad_options_are_one_line(files, capsys, arguments, says):
+    assert says in fails(capsys, *arguments)
+
+
+def test_help_is_quick_and_names_the_units():
+    def seconds():  # of the processor: the clock also counts what else the machine does
+        used = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return used.ru_utime + used.ru_stime
+
+    start = seconds()
+    command = [sys.executable, "-m", "dualdepth.cli", "evaluate", "odometry", "--help"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and "t_err in %, r_err in degrees per 100 m" in " ".join(done.stdout.split())
+    assert seconds() - start < 1
+
+
+def test_nothing_heavy_is_imported_before_it_is_needed(files):
+    script = (
+        "import sys, dualdepth.cli as cli\n"
+        "cli.build_parser()\n"
+        "assert not {'torch', 'pandas', 'numpy', 'scipy'} & set(sys.modules)\n"
+        "cli.main(['evaluate', 'odometry', '--pred', 'pred.txt', '--gt', 'gt.txt'])\n"
+        "assert 'torch' not in sys.modules\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and done.stderr == "", done.stderr

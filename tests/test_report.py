@@ -1,0 +1,134 @@
+"""The report gathers what a run made, judges as far as its profile says, and is one page that needs nothing else."""
+
+import json
+import re
+
+import browser
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+import pytest
+
+from dualdepth import paper, report
+from dualdepth.assumptions import ASSUMPTIONS
+from dualdepth.errors import InputError
+from dualdepth.report import TITLES, cell, html, make_report, shown, write_report
+from dualdepth.results import Run
+
+
+@pytest.fixture
+def make_run(tmp_path):
+    """A run whose tables are the paper's with a row of ours, with one figure and one comparison."""
+
+    def make(profile="tiny", seeds="0 1 2"):
+        run = Run(profile, tmp_path)
+        for name in TITLES:
+            table = paper.table(name)
+            ours = {c: 0.12345 for c in table if pd.api.types.is_numeric_dtype(table[c])} | {"source": "measured", "note": "a <b>note</b>"}
+            ours |= {"variant": "dual", "seeds": seeds, "abs_rel_std": 0.01}
+            table = pd.concat([table, pd.DataFrame([ours])], ignore_index=True)
+            run.save_table(table.assign(frames=3) if name == "odometry" else table, name, [], seeds=[0, 1, 2])
+        numbers = {"mean_a": 0.1, "mean_b": 0.2, "difference": -0.1, "low": -0.2, "high": -0.05, "spread": 0.001, "seeds": 3, "n": 9}
+        run.save_table(pd.DataFrame([{"a": "dual", "b": "lr", "metric": "abs_rel", "in_words": "", **numbers}]), "ablation_claims", [])
+        figure, axes = plt.subplots(figsize=(12, 2))
+        axes.imshow(np.arange(6).reshape(2, 3))
+        run.save_figure(figure, "main_depth", [])
+        plt.close(figure)
+        return run
+
+    return make
+
+
+def test_tiny_has_no_verdicts_on_claims(make_run):
+    made = make_report(make_run("tiny"))
+    assert "not judged" in set(made.claims["verdict"]) and not made.claims["verdict"].isin(["reproduced", "within noise"]).any()
+    assert made.numbers.query("metric == 'abs_rel'")["verdict"].dropna().str.startswith("not run").all()
+    assert "not of KITTI" in made.caution and "nothing here is judged" in made.caution
+
+
+def test_miniature_judges_the_direction_of_claims_alone(make_run):
+    made = make_report(make_run("miniature"))
+    assert made.claims["verdict"].iloc[0] == "reproduced"
+    assert made.numbers.query("metric == 'abs_rel'")["verdict"].dropna().str.startswith("not run").all()
+    assert "synthetic world, not of KITTI" in made.caution and "direction" in made.caution
+
+
+def test_the_papers_profile_judges_numbers(make_run):
+    made = make_report(make_run("paper"))
+    row = made.numbers.query("table == 'ablation' and row == 'LR-Net+HR-Net (w/ SA module)' and metric == 'abs_rel'").iloc[0]
+    assert row["verdict"] == "within noise" and row["difference"] == pytest.approx(0.12345 - 0.121)
+    assert made.caution == ""
+
+
+def test_a_missing_table_names_its_notebook(make_run):
+    run = make_run()
+    (run.results / "tables/make3d.csv").unlink()
+    with pytest.raises(InputError, match=r"make3d\.csv is missing: run notebook 06_table_make3d"):
+        make_report(run)
+
+
+def test_the_page_has_everything_in_it(make_run):
+    run = make_run("miniature")
+    page = html(make_report(run), "miniature")
+    for title in TITLES.values():
+        assert title in page
+    for oddity in paper.ODDITIES:
+        assert oddity.split(",")[0].split("<")[0][:40] in page
+    assert all(topic in page.replace("&#39;", "'").replace("&amp;", "&") for topic, _, _ in ASSUMPTIONS)
+    assert page.count("data:image/png;base64,") == 1
+    assert json.loads((run.results / "tables/main.json").read_text())["profile_sha256"][:8] in page  # provenance
+    assert "a &lt;b&gt;note&lt;/b&gt;" in page and "<b>note</b>" not in page
+
+
+def test_the_page_asks_for_no_other_file(make_run):
+    page = html(make_report(make_run()), "tiny")
+    addresses = re.findall(r"""(?:src|href|url)\s*[=(]\s*["']?([^"')\s>]+)""", page)
+    assert addresses and all(a.startswith(("data:", "#")) for a in addresses)
+    assert "<script" not in page and "@import" not in page
+
+
+def test_it_is_written_beside_the_results_with_its_judgements(make_run):
+    run = make_run("miniature")
+    page = write_report(run, make_report(run))
+    assert page == run.results / "report.html" and page.read_text().startswith("<!DOCTYPE html>")
+    assert pd.read_csv(run.results / "tables/report_claims.csv")["verdict"].iloc[0] == "reproduced"
+    again = write_report(run, make_report(run))  # its own tables do not disturb it
+    assert "report_claims" in again.read_text()
+
+
+def test_tables_are_shown_with_their_spread_and_without_empty_columns():
+    table = pd.DataFrame({"method": ["a"], "abs_rel": [0.5], "abs_rel_std": [0.1], "a1": [np.nan], "note": [""], "variant": ["v"]})
+    assert shown("main", table).to_dict("records") == [{"method": "a", "abs_rel": "0.500 ± 0.100"}]
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(np.nan, ""), (None, ""), (pd.NA, ""), (0.123456, "0.1235"), (3, "3"), ("word", "word"), (True, "True")]
+)
+def test_cells(value, text):
+    assert cell(value) == text
+
+
+def test_every_figure_of_the_chain_has_a_caption():
+    from dualdepth.results import project_root
+
+    saved = set()
+    for path in (project_root() / "notebooks").glob("*.ipynb"):
+        saved |= set(re.findall(r'save_figure\([^\n]*?, \\"(\w+)\\", ', path.read_text()))
+    assert saved and saved <= set(report.CAPTIONS)
+
+
+@pytest.mark.skipif(not browser.available(), reason="no chromium with chromedriver here")
+@pytest.mark.parametrize(("width", "phone"), [(1280, False), (390, True)])
+def test_the_page_reads_well_in_a_browser(make_run, tmp_path, width, phone):
+    run = make_run("miniature")
+    page = write_report(run, make_report(run))
+    with browser.Browser(tmp_path / "browser") as window:
+        window.open(page.as_uri(), width, 800, phone)
+        assert window.run("return document.readyState") == "complete"
+        assert window.run("return [...document.images].every(i => i.complete && i.naturalWidth > 0) && document.images.length") == 1
+        assert window.run("return document.documentElement.scrollWidth") <= width
+        assert window.run("return Math.max(...[...document.querySelectorAll('table')].map(t => t.scrollWidth))") > 390  # scrolls by itself
+        assert (
+            window.run("return document.querySelectorAll('main h2').length") == len(TITLES) + 6
+        )  # claims, numbers, figures, assumptions, oddities, provenance
+        assert window.console() == []

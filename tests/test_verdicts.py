@@ -1,0 +1,127 @@
+"""Verdicts follow their rules to the edge, and every row and claim is found in the tables that are really made."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from dualdepth import paper, verdicts
+from dualdepth.verdicts import (
+    CLAIMS,
+    NOT_REPRODUCED,
+    NOT_RUN,
+    PAIRS,
+    REPRODUCED,
+    WITHIN_NOISE,
+    compare_numbers,
+    judge_claim,
+    judge_claims,
+    judge_number,
+)
+
+
+def number(ours, paper=0.100, spread=np.nan, seeds=1, digit=0.001, lower=True):
+    return judge_number(paper, ours, spread=spread, seeds=seeds, digit=digit, lower_is_better=lower).word
+
+
+def test_two_percent_is_reproduced():
+    assert number(0.102) == REPRODUCED
+    assert number(0.1021) == NOT_REPRODUCED
+    assert number(1.02 * 16.43, paper=16.43, digit=0.01, lower=None) == REPRODUCED
+    assert number(0.97 * 16.43, paper=16.43, digit=0.01, lower=None) == NOT_REPRODUCED
+
+
+def test_half_of_the_last_digit_is_reproduced():
+    assert number(0.0075, paper=0.008) == number(0.0085, paper=0.008) == REPRODUCED
+    assert number(0.0087, paper=0.008) == NOT_REPRODUCED
+
+
+def test_better_than_the_paper_is_reproduced_in_the_metrics_own_direction():
+    assert number(0.05) == REPRODUCED and number(0.05, lower=False) == NOT_REPRODUCED
+    assert number(0.5, lower=False) == REPRODUCED and number(0.05, lower=None) == NOT_REPRODUCED
+
+
+def test_noise_is_the_t_interval_over_seeds():
+    # three seeds: 4.303 · 0.01 / √3 = 0.0248
+    assert number(0.1247, spread=0.01, seeds=3) == WITHIN_NOISE
+    assert number(0.1249, spread=0.01, seeds=3) == NOT_REPRODUCED
+    assert number(0.11) == NOT_REPRODUCED  # one seed knows no noise
+
+
+def claim(difference, half, spread=np.nan, seeds=1, lower=True):
+    return judge_claim(difference, difference - half, difference + half, spread=spread, seeds=seeds, lower_is_better=lower)
+
+
+def test_a_claim_needs_the_sign_and_both_intervals():
+    assert claim(-0.01, 0.005).word == REPRODUCED and claim(-0.01, 0.005).why == "one seed"
+    assert claim(-0.01, 0.02).word == WITHIN_NOISE
+    assert claim(-0.01, 0.005, spread=0.001, seeds=3) == (REPRODUCED, "")
+    assert claim(-0.01, 0.005, spread=0.01, seeds=3).word == WITHIN_NOISE
+    assert claim(0.01, 0.005, spread=0.001, seeds=3).word == NOT_REPRODUCED
+    assert claim(0.01, 0.02, spread=0.001, seeds=3).word == WITHIN_NOISE
+    assert claim(0.01, 0.005, lower=False).word == REPRODUCED and claim(-0.01, 0.005, lower=False).word == NOT_REPRODUCED
+    assert claim(np.nan, 0.005).word == NOT_RUN
+
+
+def test_every_pair_names_a_row_of_the_paper_and_its_metrics():
+    for pair in PAIRS:
+        row = verdicts._row(paper.table(pair.table), pair.paper)
+        assert row is not None, pair
+        assert pair.metrics == ("ratio",) or all(pd.notna(row[m]) for m in pair.metrics if m != "rmse_log"), pair
+
+
+def test_every_row_of_the_paper_that_is_its_own_has_a_pair():
+    for name in paper.TABLES:
+        table, pairs = paper.table(name), [p for p in PAIRS if p.table == name]
+        own = {"main": [0, 14], "make3d": [8], "sharpness": [1], "odometry": [6, 7]}.get(name, range(len(table)))
+        found = {verdicts._row(table, pair.paper).name for pair in pairs}
+        assert found == set(own), name
+
+
+def ablation(**ours):
+    rows = [{"method": "LR-Net", "variant": "lr", "source": "measured", "seeds": "0 1 2", "n": 5, **ours}]
+    return pd.concat([paper.table("ablation"), pd.DataFrame(rows)], ignore_index=True)
+
+
+def test_numbers_stand_beside_the_papers_with_their_interval():
+    table = compare_numbers({"ablation": ablation(abs_rel=0.14, abs_rel_std=0.01)}, judged=True)
+    row = table.query("row == 'Baseline (LR-Net only)' and metric == 'abs_rel'").iloc[0]
+    assert row["paper"] == 0.132 and row["ours"] == 0.14 and row["seeds"] == "0 1 2"
+    assert row["high"] - row["low"] == pytest.approx(2 * 4.3027 * 0.01 / 3**0.5, rel=1e-3)
+    assert row["difference"] == pytest.approx(0.008) and row["verdict"] == WITHIN_NOISE
+
+
+def test_what_was_not_run_says_why():
+    table = compare_numbers({"ablation": ablation(note="not run: no GPU")}, judged=True)
+    assert set(table.query("row == 'Baseline (LR-Net only)'")["verdict"]) == {"not run: no GPU"}
+
+
+def test_numbers_are_judged_only_where_asked_but_counts_always():
+    backbone = pd.concat(
+        [
+            paper.table("backbone"),
+            pd.DataFrame([{"backbone": "ResNet18", "params_m": 16.313, "gmacs": 99.0, "abs_rel": 0.5, "source": "measured"}]),
+        ]
+    )
+    table = compare_numbers({"backbone": backbone}, judged=False).query("row == 'ResNet18'").set_index("metric")
+    assert table.loc["params_m", "verdict"] == REPRODUCED and table.loc["gmacs", "verdict"] == NOT_REPRODUCED
+    assert pd.isna(table.loc["abs_rel", "verdict"])
+
+
+def claims_table(**row):
+    return pd.DataFrame([{"a": "dual", "b": "lr", "metric": "abs_rel", "mean_a": 0.1, "mean_b": 0.2, "n": 9, "in_words": "words", **row}])
+
+
+def test_a_claim_is_judged_by_its_row():
+    row = claims_table(difference=-0.1, low=-0.2, high=-0.05, spread=0.001, seeds=3)
+    table = judge_claims({"ablation_claims": row})
+    first = table.iloc[0]
+    assert first["claim"] == CLAIMS[0].text and first["metric"] == "abs_rel" and first["verdict"] == REPRODUCED
+    assert (table["verdict"].iloc[1:].str.startswith("not run: ")).all()
+
+
+def test_a_claim_that_could_not_be_compared_says_why():
+    row = claims_table(difference=np.nan, low=np.nan, high=np.nan, spread=np.nan, seeds=np.nan, metric="").assign(
+        in_words="not run: why not"
+    )
+    assert judge_claims({"ablation_claims": row})["verdict"].iloc[0] == "not run: why not"
+    assert judge_claims({})["verdict"].iloc[0] == "not run: no comparison was made"
