@@ -81,7 +81,7 @@ def reproduce(arguments: argparse.Namespace) -> int:
         logs = sorted((run.root / ".snakemake" / "log").glob("*.log"))
         raise InputError(f"the chain stopped, see above; Snakemake's log is {logs[-1].relative_to(run.root) if logs else 'not there'}")
     print(f"{run.profile.name}: {run.profile.about}")
-    print(f"results of profile {run.profile.name}: {run.results.relative_to(run.root)}/tables, figures, notebooks")
+    print(f"results of profile {run.profile.name}: {run.results.relative_to(run.root)}/report.html, tables, figures, notebooks")
     return 0
 
 
