@@ -1,6 +1,6 @@
 # The order of the notebooks: one rule a notebook, a training for each variant and seed. What shapes a step's result stands in its params,
 # as digests, so that a changed setting or changed code reruns the step and what depends on it, and nothing else.
-from dualdepth.results import Run, code_digest, notebook_digest
+from dualdepth.results import PACKAGE, Run, code_digest, file_digest, notebook_digest
 
 PROFILE = config.get("profile", "tiny")
 run_ = Run(PROFILE)
@@ -187,6 +187,8 @@ rule report:
         page=f"{RESULTS}/report.html",
     params:
         **SHARED,
+        report=code_digest("report"),
+        template=file_digest(PACKAGE / "report.html.j2"),
         notebook=notebook("14_report"),
     shell:
         "dualdepth notebook 14_report --out {output.notebook} --set profile={PROFILE:q} seeds={params.seeds}"

@@ -10,7 +10,7 @@ import hashlib
 import re
 import sys
 from collections.abc import Iterator, Sequence
-from itertools import groupby
+from itertools import groupby, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -144,7 +144,7 @@ def label_maps(segmenter: Segmenter, images: dict[Path, Path], size: Size, batch
     """Where each map goes, and the map (H, W) uint8, for `images` by where their maps go; a batch holds images of one size."""
     read = ((out, read_image(path)) for out, path in images.items())
     for _, alike in groupby(read, key=lambda pair: pair[1].shape):
-        while batch := [pair for pair, _ in zip(alike, range(batch_size))]:
+        while batch := list(islice(alike, batch_size)):
             outs, pictures = zip(*batch)
             yield from zip(outs, segment(segmenter, pictures, size))
 

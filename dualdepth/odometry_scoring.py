@@ -123,7 +123,9 @@ def score_sequence(run: Run, variant: str, seed: int, entry: str) -> SequenceSco
 def score_control(run: Run, name: str, entry: str) -> SequenceScores:
     """Score one of `CONTROLS` on a test sequence."""
     truth = true_trajectory(run, entry)
-    return _scores(truth, control_poses(run, name, truth))
+    # the field stores snippets, each in its first frame's axes: there the mistake is made
+    cut = {n: odometry.inverted(snippets(truth.poses, n)) for n in LENGTHS if n <= len(truth.poses)} if name == "inverted" else {}
+    return _scores(truth, control_poses(run, name, truth), cut)
 
 
 def control_poses(run: Run, name: str, truth: Trajectory) -> np.ndarray:

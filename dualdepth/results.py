@@ -37,10 +37,11 @@ CODE = {
     "train_hr": ("networks.hr_net", "networks.attention", "networks.dual_net", "networks.architecture", "hr_stage"),
     "odometry": ("data.odometry",),
     "predict": (
-        *("predict", "scoring", "networks", "evaluation.depth", "evaluation.baselines"),
-        *("data.augmentation", "data.loading", "data.kitti", "data.depth_maps"),
+        *("predict", "scoring", "odometry_scoring", "networks", "evaluation.depth", "evaluation.baselines", "evaluation.make3d"),
+        *("data.augmentation", "data.loading", "data.kitti", "data.depth_maps", "data.make3d", "data.odometry", "data.trajectories"),
     ),
-    "tables": ("tables", "paper", "plots", "figures", "evaluation"),
+    "tables": ("tables", "paper", "plots", "figures", "evaluation", "data.label_maps", "leaks"),
+    "report": ("report", "verdicts", "assumptions"),
 }
 """Modules whose code shapes a step's result; a change in one of them makes the step stale."""
 

@@ -10,11 +10,13 @@ import pandas as pd
 import torch
 
 from dualdepth.atomic import atomic_path, write_json, write_text
+from dualdepth.checkpoints import load_card
 from dualdepth.data.depth_maps import DepthMaps, load_ground_truth
 from dualdepth.data.kitti import Frame, image_path
 from dualdepth.data.label_maps import label_path, read_label_map
 from dualdepth.evaluation import baselines
 from dualdepth.evaluation.depth import evaluate, resized, summary
+from dualdepth.leaks import check_leak
 from dualdepth.networks.architecture import Architecture
 from dualdepth.predict import DepthNet, load_depth_net, predict_disparities
 from dualdepth.preparation import Sources
@@ -26,6 +28,11 @@ def scored_frames(run: Run) -> list[Frame]:
     """The frames that are scored, in the ground truth's order (notebook 02)."""
     rows = json.loads(run.require(run.prepared / "test_frames.json", "02_prepare_data").read_text(encoding="utf-8"))
     return [Frame(*row) for row in rows["frames"]]
+
+
+def scored_drives(run: Run) -> list[str]:
+    """Drives of the frames that are scored."""
+    return sorted({frame.drive for frame in scored_frames(run)})
 
 
 def scored_note(run: Run) -> str:
@@ -62,11 +69,15 @@ def score_training(run: Run, variant: str, seed: int) -> pd.DataFrame:
     """Predict and score the test frames with a training's last weights; both are kept beside the weights and reused while they fit.
 
     Writes `disparities.npy` (N, h, w) as the field saves it, and `per_image.csv`.
+
+    Raises:
+        InputError: the weights are missing, or were trained on drives of the test frames.
     """
     stage = run.profile.variant(variant).stage
     weights = run.require(
         run.weights(variant, seed), f"{'03_train_lr' if stage == 'lr' else '04_train_hr'}, variant {variant}, seed {seed},"
     )
+    check_leak(load_card(weights), scored_drives(run), allow=Sources.load(run).allow_leak, weights=weights)
     folder = run.training(variant, seed)
     made_from = _made_from(run, weights)
     if _is_current(folder / "per_image.json", made_from):
@@ -103,13 +114,17 @@ def device() -> str:
     return "cuda" if torch.cuda.is_available() else "cpu"
 
 
-def score_untrained(run: Run, seed: int) -> pd.DataFrame:
-    """Score LR-Net of the same seed before its first step: what the architecture alone gives."""
+def untrained_net(run: Run, seed: int) -> DepthNet:
+    """LR-Net of a seed before its first step."""
     torch.manual_seed(seed)
     training = run.profile.training
     architecture = Architecture("lr", training.encoder)
-    net = DepthNet(architecture.build(training.pretrained).eval(), architecture, run.profile.data.hr_size)
-    disparities = predict_disparities(net, image_paths(run), device=device())
+    return DepthNet(architecture.build(training.pretrained).eval(), architecture, run.profile.data.hr_size)
+
+
+def score_untrained(run: Run, seed: int) -> pd.DataFrame:
+    """Score LR-Net of the same seed before its first step: what the architecture alone gives."""
+    disparities = predict_disparities(untrained_net(run, seed), image_paths(run), device=device())
     return evaluate(disparities, truth(run), name="untrained", kind="disparity", **protocol(run.profile.evaluation))
 
 

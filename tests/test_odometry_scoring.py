@@ -13,7 +13,7 @@ from dualdepth import odometry_scoring
 from dualdepth.checkpoints import save_weights
 from dualdepth.data.augmentation import resize
 from dualdepth.data.kitti import read_image
-from dualdepth.data.trajectories import read_trajectory
+from dualdepth.data.trajectories import read_trajectory, write_trajectory
 from dualdepth.errors import InputError
 from dualdepth.evaluation.odometry import relative, snippet_errors, snippets
 from dualdepth.geometry import pose_matrix
@@ -174,6 +174,17 @@ def test_controls_know_nothing_of_the_images(run):
     np.testing.assert_allclose(control_poses(run, "constant", truth), relative(truth.poses), atol=1e-12)
     assert score_control(run, "constant", "09").snippets[3]["ate"].max() < 1e-12
     np.testing.assert_allclose(control_poses(run, "inverted", truth) @ truth.poses, np.broadcast_to(np.eye(4), (8, 4, 4)), atol=1e-12)
+
+
+def test_inverting_a_snippets_poses_hardly_shows_in_its_score(run):
+    path = Sources.load(run).odometry_root / "poses/09.txt"
+    poses = winding(8)
+    write_trajectory(path, poses)
+    scores = score_control(run, "inverted", "09")
+    cut = snippets(poses, 3)
+    expected = snippet_errors(cut, np.linalg.inv(relative(cut)))["ate"]
+    np.testing.assert_allclose(scores.snippets[3]["ate"], expected, atol=1e-9)
+    assert expected.mean() < 0.2 < scores.trajectory["7dof"]["rpe_t"]
 
 
 def test_a_gap_between_frames_is_named(run):

@@ -13,6 +13,7 @@ from dualdepth.data.depth_maps import save_ground_truth
 from dualdepth.errors import InputError
 from dualdepth.evaluation.baselines import BASELINES
 from dualdepth.evaluation.depth import METRICS, Protocol, evaluate, valid_pixels
+from dualdepth.preparation import Sources
 from dualdepth.results import Run
 from dualdepth.scoring import (
     Predictions,
@@ -44,9 +45,11 @@ def run(tmp_path, monkeypatch):
     run.prepared.mkdir(parents=True)
     frames = [[DRIVES[0], 0, "image_02"], [DRIVES[0], 5, "image_02"], [DRIVES[1], 3, "image_02"]]
     write_json(run.prepared / "test_frames.json", {"frames": frames, "listed": 3})
+    Sources(kitti_root=tmp_path, test_list=tmp_path, labels_root=run.work / "miniature" / "labels").save(run)
     save_ground_truth(run.prepared / "ground_truth.npz", truths())
     run.weights("lr", 0).parent.mkdir(parents=True)
     run.weights("lr", 0).write_bytes(b"1")
+    write_json(run.weights("lr", 0).with_suffix(".json"), {"drives": ["2011_09_26/2011_09_26_drive_0099_sync"]})
     run.predicted = []
 
     def predict(weights, paths, *, device):
@@ -150,6 +153,7 @@ def test_a_setting_of_the_training_alone_makes_nothing_anew(run):
 def test_each_training_has_its_own_files(run):
     run.weights("dual", 3).parent.mkdir(parents=True)
     run.weights("dual", 3).write_bytes(b"7")
+    write_json(run.weights("dual", 3).with_suffix(".json"), {"drives": []})
     lr, dual = Predictions(run, "lr", 0), Predictions(run, "dual", 3)
     assert run.predicted == [b"1", b"7"]
     assert not np.array_equal(lr.disparities, dual.disparities)
@@ -185,9 +189,11 @@ def test_the_synthetic_world_has_exact_depth_and_labels_of_each_frame(run):
     np.testing.assert_array_equal(label_map(run, 2), [[1, 5], [0, 8]])
 
 
-def test_real_frames_have_neither(run):
+def test_real_frames_have_no_exact_depth_and_label_maps_only_where_they_were_made(run):
     run.profile = run.profile.model_copy(update={"world": None})
-    assert dense_truth(run, 0) is None and label_map(run, 0) is None
+    assert dense_truth(run, 0) is None
+    Sources.load(run)._replace(labels_root=None).save(run)
+    assert label_map(run, 0) is None
 
 
 def test_baselines_are_predicted_from_the_other_drives_or_from_training_frames_or_not_at_all(run):
@@ -201,3 +207,11 @@ def test_baselines_are_predicted_from_the_other_drives_or_from_training_frames_o
     frames = [[DRIVES[0], i, "image_02"] for i in range(3)]
     write_json(run.prepared / "test_frames.json", {"frames": frames, "listed": 3})
     assert score_baselines(run) == {}
+
+
+def test_weights_that_saw_a_test_drive_are_refused_unless_allowed(run):
+    write_json(run.weights("lr", 0).with_suffix(".json"), {"drives": [DRIVES[1]]})
+    with pytest.raises(InputError, match=rf"model\.safetensors: was trained on {DRIVES[1]}"):
+        score_training(run, "lr", 0)
+    Sources.load(run)._replace(allow_leak=True).save(run)
+    score_training(run, "lr", 0)

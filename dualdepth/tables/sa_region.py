@@ -78,20 +78,23 @@ def counted(n: int, images: int) -> str:
 
 
 def sa_region_claims(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
-    """With SA against without in each region, over all seeds and for each, paired; and whether road gains more: the paper's claim."""
+    """With SA against without in each region, over all seeds and for each, paired; and whether road gains more: the paper's claim.
+
+    Column `seed` has the seeds that a row is about.
+    """
     if labels_made_by(run) == NO_LABELS:
         rows = [
-            {"region": r, "seeds": said_seeds(seeds), "a": "dual", "b": "dual_no_sa", "metric": "", "in_words": NO_LABELS} for r in REGIONS
+            {"region": r, "seed": said_seeds(seeds), "a": "dual", "b": "dual_no_sa", "metric": "", "in_words": NO_LABELS} for r in REGIONS
         ]
-        return pd.DataFrame(rows, columns=["region", "seeds", *COMPARISON])
+        return pd.DataFrame(rows, columns=["region", "seed", *COMPARISON])
     tables = []
     for chosen in [seeds, *([seed] for seed in seeds if len(seeds) > 1)]:
         for region in REGIONS:
             table = compare_trainings(run, [("dual", "dual_no_sa")], chosen, scores=partial(score_region, region=region))
-            tables.append(table.assign(region=region, seeds=said_seeds(chosen)))
+            tables.append(table.assign(region=region, seed=said_seeds(chosen)))
         if (tables[-1]["metric"] != "").all():
-            tables.append(pd.DataFrame([gain_row(run, chosen)]).assign(region=" against ".join(REGIONS), seeds=said_seeds(chosen)))
-    return pd.concat(tables, ignore_index=True)[["region", "seeds", *COMPARISON]]
+            tables.append(pd.DataFrame([gain_row(run, chosen)]).assign(region=" against ".join(REGIONS), seed=said_seeds(chosen)))
+    return pd.concat(tables, ignore_index=True)[["region", "seed", *COMPARISON]]
 
 
 def gain_row(run: Run, seeds: Sequence[int]) -> dict[str, Any]:

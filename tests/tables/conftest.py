@@ -32,7 +32,7 @@ def make_run(tmp_path):
 def cards(monkeypatch):
     """What the cards of trainings say, by variant; what is not given there is usual."""
     given = {}
-    usual = {"encoder": "resnet18", "pretrained": False, "steps": 100, "starts_from": None}
+    usual = {"encoder": "resnet18", "pretrained": False, "steps": 100, "starts_from": None, "drives": []}
     monkeypatch.setattr(rows, "load_card", lambda weights: usual | given.get(weights.parts[-3], {}))
     return given
 

@@ -99,7 +99,7 @@ def test_the_note_says_backbone_size_first_weights_and_steps_as_the_card_has_the
     }
     card = run.training(variant, 2) / "model.json"
     card.parent.mkdir(parents=True)
-    card.write_text(json.dumps(cards[variant]))
+    card.write_text(json.dumps(cards[variant] | {"drives": []}))
     assert training_note(run, variant, 2) == note
 
 
@@ -283,3 +283,13 @@ def test_a_readable_table_has_means_with_their_spread_over_seeds_or_alone_or_not
 def test_a_column_that_has_no_spread_is_readable_too():
     table = pd.DataFrame({"ratio": [1.25, np.nan]}, index=[7, 3])
     assert readable(table, ["ratio"], 2)["ratio"].tolist() == ["1.25", ""]
+
+
+def test_the_note_says_when_scored_drives_were_trained_on(make_run, cards):
+    drive = "2011_09_26/2011_09_26_drive_0001_sync"
+    cards["lr"] = {"drives": [drive, "another"]}
+    assert rows.training_note(make_run(), "lr", 0).endswith(f", LEAK: trained on {drive}")
+    assert "LEAK" not in rows.training_note(make_run(), "dual", 0)
+    # frames of another benchmark: its drives count, and KITTI's incomplete list does not
+    assert "LEAK: trained on another" in rows.training_note(make_run(listed=9), "lr", 0, drives=["another"])
+    assert "frames" not in rows.training_note(make_run(listed=9), "lr", 0, drives=[])

@@ -118,7 +118,7 @@ def test_without_label_maps_the_rows_are_there_and_say_how_to_make_them(prepare,
     assert "LABELS_ROOT" in NO_LABELS and "data_scripts/export_labels.py" in NO_LABELS
     claims = sa_region_claims(run, [0, 1])
     assert claims["region"].tolist() == [ROAD, GREEN] and set(claims["in_words"]) == {NO_LABELS}
-    assert list(claims.columns) == ["region", "seeds", *COMPARISON]
+    assert list(claims.columns) == ["region", "seed", *COMPARISON]
 
 
 def test_a_network_that_is_not_trained_keeps_its_rows_and_says_why(prepare):
@@ -132,21 +132,22 @@ def test_a_network_that_is_not_trained_keeps_its_rows_and_says_why(prepare):
 
 def test_attention_is_judged_in_each_region_over_all_seeds_and_for_each(run):
     claims = sa_region_claims(run, [0, 1])
-    assert list(claims.columns) == ["region", "seeds", *COMPARISON]
-    regions = claims.query("a == 'dual' and b == 'dual_no_sa' and metric == 'abs_rel'").set_index(["seeds", "region"])
+    assert list(claims.columns) == ["region", "seed", *COMPARISON]
+    regions = claims.query("a == 'dual' and b == 'dual_no_sa' and metric == 'abs_rel'").set_index(["seed", "region"])
     assert list(regions.index) == [(seeds, region) for seeds in ("0 1", "0", "1") for region in (ROAD, GREEN)]
     for seeds in ("0 1", "0", "1"):
         assert regions.loc[(seeds, ROAD), "difference"] == pytest.approx(-0.2)
         assert regions.loc[(seeds, GREEN), "difference"] == pytest.approx(0.05)
+        assert regions.loc[(seeds, ROAD), "seeds"] == len(seeds.split())
         assert regions.loc[(seeds, ROAD), "n"] == 3 and regions.loc[(seeds, GREEN), "n"] == 2
     assert regions.loc[("1", ROAD), "mean_b"] == pytest.approx(0.4)
     assert regions.loc[("0 1", ROAD), "in_words"].startswith("better by 0.2: ")
     assert regions.loc[("0 1", GREEN), "in_words"].startswith("worse by 0.05: ")
-    assert set(sa_region_claims(run, [0])["seeds"]) == {"0"}
+    assert set(sa_region_claims(run, [0])["seed"]) == {"0"}
 
 
 def test_the_gain_on_road_is_compared_with_that_on_green_in_images_that_have_both(run):
-    row = sa_region_claims(run, [0, 1]).query("region == 'Road against Tree & grass'").set_index("seeds").loc["0 1"]
+    row = sa_region_claims(run, [0, 1]).query("region == 'Road against Tree & grass'").set_index("seed").loc["0 1"]
     assert [row["a"], row["b"]] == ["gain of dual, Road", "gain of dual, Tree & grass"]
     assert [row["mean_a"], row["mean_b"], row["difference"]] == pytest.approx([0.2, -0.05, 0.25])
     assert row["n"] == 2 and row["in_words"].startswith("better by 0.25: ")
