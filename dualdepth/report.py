@@ -27,6 +27,8 @@ TITLES = {
 }
 HIDDEN = ("variant", "device", "seeds")
 """Columns of tables that the page does not show; the CSV files have them."""
+HEADINGS = {"mean_a": "mean of the one", "mean_b": "mean of the other", "n": "images", "note": "note"}
+"""Column names that a reader of the page needs in words."""
 CAPTIONS = {
     "main_depth": "Frames, laser depth, predicted depth and relative error.",
     "ablation_depth": "Depth of the ablation's networks.",
@@ -119,7 +121,18 @@ def shown(name: str, table: pd.DataFrame) -> pd.DataFrame:
     spread = [c.removesuffix("_std") for c in table if c.endswith("_std") and c.removesuffix("_std") in table]
     table = readable(table, [c for c in spread if pd.api.types.is_numeric_dtype(table[c])], digits=4 if name == "odometry" else 3)
     empty = [c for c in table if table[c].isna().all() or (table[c].astype(str) == "").all()]
-    return table.drop(columns=[c for c in (*HIDDEN, *empty) if c in table])
+    table = table.drop(columns=[c for c in (*HIDDEN, *empty) if c in table])
+    last = [c for c in ("source", "note") if c in table]
+    return table[[c for c in table if c not in last] + last]
+
+
+def footnotes(table: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
+    """The table with its column `note` as numbers, and the notes in that order, each once."""
+    if "note" not in table:
+        return table, []
+    notes = [note for note in dict.fromkeys(table["note"].fillna("")) if note]
+    numbers = {note: str(number) for number, note in enumerate(notes, 1)}
+    return table.assign(note=[numbers.get(note, "") for note in table["note"].fillna("")]), notes
 
 
 def html(report: Report, name: str) -> str:
@@ -127,12 +140,14 @@ def html(report: Report, name: str) -> str:
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters["cell"] = cell
+    environment.filters |= {"cell": cell, "footnotes": footnotes}
     pictures = {k: base64.b64encode(path.read_bytes()).decode() for k, path in report.figures.items()}
     return environment.get_template("report.html.j2").render(
         name=name,
         report=report,
+        claims=report.claims[["claim", "metric", "verdict", *(c for c in report.claims if c not in ("claim", "metric", "verdict"))]],
         tables={k: (title, shown(k, report.tables[k])) for k, title in TITLES.items()},
+        headings=HEADINGS,
         pictures=pictures,
         captions=CAPTIONS,
         assumptions=ASSUMPTIONS,

@@ -98,6 +98,7 @@ def test_it_is_written_beside_the_results_with_its_judgements(make_run):
 
 def test_tables_are_shown_with_their_spread_and_without_empty_columns():
     table = pd.DataFrame({"method": ["a"], "abs_rel": [0.5], "abs_rel_std": [0.1], "a1": [np.nan], "note": [""], "variant": ["v"]})
+    assert list(shown("main", table.assign(note="n", source="measured", n=1))) == ["method", "abs_rel", "n", "source", "note"]
     assert shown("main", table).to_dict("records") == [{"method": "a", "abs_rel": "0.500 ± 0.100"}]
 
 
