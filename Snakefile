@@ -1,6 +1,6 @@
 # The order of the notebooks: one rule a notebook, a training for each variant and seed. What shapes a step's result stands in its params,
 # as digests, so that a changed setting or changed code reruns the step and what depends on it, and nothing else.
-from dualdepth.results import PACKAGE, Run, code_digest, file_digest, notebook_digest
+from dualdepth.results import PACKAGE, Run, code_digest, file_digest, folder_digest, notebook_digest
 
 PROFILE = config.get("profile", "tiny")
 run_ = Run(PROFILE)
@@ -156,6 +156,13 @@ SHARED = {
     "code": code_digest("predict", "tables"),
 }
 
+# what a user may replace in a folder of their own
+DATA = {
+    "make3d": folder_digest(GIVEN["make3d_root"], "*/*.jpg", "*/*.mat", "*/*/*.mat"),
+    "odometry": folder_digest(GIVEN["odometry_root"], "poses/*.txt", "sequences/*/poses.txt"),
+    "sa_region": folder_digest(GIVEN["labels_root"], "*/*.png"),
+}
+
 for page, (table, names) in PAGES.items():
 
     rule:
@@ -170,6 +177,7 @@ for page, (table, names) in PAGES.items():
         params:
             **SHARED,
             page=page,
+            data=DATA.get(table, ""),
             notebook=notebook(page),
         threads: workflow.cores if table == "backbone" else max(1, workflow.cores // 2)  # the one measures time
         resources:
@@ -187,8 +195,9 @@ rule report:
         page=f"{RESULTS}/report.html",
     params:
         **SHARED,
+        verdicts=run_.profile.digest("verdicts", "training.loss"),
         report=code_digest("report"),
         template=file_digest(PACKAGE / "report.html.j2"),
         notebook=notebook("14_report"),
     shell:
-        "dualdepth notebook 14_report --out {output.notebook} --set profile={PROFILE:q} seeds={params.seeds}"
+        "dualdepth notebook 14_report --out {output.notebook} --set profile={PROFILE:q}"

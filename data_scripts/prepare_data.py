@@ -15,7 +15,9 @@ from dualdepth.data.kitti import CAMERA_OF_SIDE, Frame, check_root, read_frame_l
 from dualdepth.data.sources import drive_archives, named_list
 from dualdepth.errors import InputError, exit_on_input_error
 from dualdepth.preparation import (
+    FOLDERS,
     Sources,
+    check_labels,
     check_separate,
     laser_frames,
     test_frames,
@@ -65,6 +67,9 @@ def find_data(
         sources = world_sources(root)
     else:
         sources = kitti_sources(run, kitti_root, test_list)
+        for name, check in FOLDERS.items():
+            if others[name]:
+                check(others[name])
         sources = sources._replace(**{name: Path(value).resolve() if value else None for name, value in others.items()})
     sources = sources._replace(allow_leak=allow_leak)
     sources.save(run)
@@ -123,6 +128,7 @@ def prepare(run: Run) -> Prepared:
     sources = Sources.load(run)
     targets = training_targets(run, sources)
     scored, listed = test_frames(run, sources)
+    check_labels(sources, scored)
     check_separate({f.drive for f in targets}, {f.drive for f in scored}, "drives", sources.allow_leak)
     fitted = laser_frames(sources, targets, run.profile.data.baseline_frames)
     write_training_index(run, sources, targets)

@@ -1,6 +1,15 @@
-"""What the paper leaves open and what this project chose, a line each: (topic, choice, why)."""
+"""What the paper leaves open and what this project chose."""
 
-ASSUMPTIONS = (
+from dualdepth.sections import Loss
+
+
+def assumptions(loss: Loss) -> list[tuple[str, str, str]]:
+    """(topic, choice, why) in the paper's order, with the loss weights of a run."""
+    weights = f"photometric {loss.photometric:g}, smoothness {loss.smoothness:g}, features {loss.feature:g}"
+    return [(topic, choice.replace("{weights}", weights), why) for topic, choice, why in _ASSUMPTIONS]
+
+
+_ASSUMPTIONS = (
     ("Decoder", "one rule for all networks, 256 to 16 channels, laterals added", "fitted to the six counts of the paper's overhead table"),
     ("HR-Net", "five stages of two 3x3 convolutions, 32 to 128 channels", "the same counts; the paper's supplement is not public"),
     ("SA-Attention", "1x1 embedding to 128 channels, no softmax", "the formula as printed; other forms are rows of the ablation"),
@@ -14,8 +23,8 @@ ASSUMPTIONS = (
     ("Normalised depth", "inverse depth divided to mean 10 for each image, gradient flowing", "DDVO's code, which the paper names"),
     (
         "Loss weights",
-        "photometric 1, smoothness 0.03, features 0.01",
-        "measured in the synthetic world, on streets that are scored nowhere",
+        "{weights}",
+        "smoothness by measurement in the synthetic world, on streets that are scored nowhere",
     ),
     ("Smoothness", "on mean-normalised inverse depth, halved at each coarser scale", "GeoNet; the paper writes D and names DDVO"),
     ("Scales", "each compared at its own size, images shrunk by averaging", "Zhou et al. and GeoNet; the paper says four scales"),
@@ -32,7 +41,7 @@ ASSUMPTIONS = (
         "depth is resized, laser-forward ground truth, Garg crop, 80 m, median scaling",
         "SfMLearner's script, of the paper's time",
     ),
-    ("Near and far", "one median ratio an image; the row with HR-Net has SA", "the paper is silent on both"),
+    ("Near and far, regions", "one median ratio an image; the row with HR-Net has SA", "the paper is silent on both"),
     (
         "Make3D",
         "central 2:1 band resized to the network's size; the whole photo as a second row",
@@ -47,4 +56,3 @@ ASSUMPTIONS = (
     ("Sharpness", "raw Sobel taps, reflected border, a sweep of thresholds", "the paper gives neither threshold nor unit"),
     ("Poses of odometry", "ground truth is of camera 0, images of camera 2", "as all others do"),
 )
-"""Assumptions of the replication, in the order of the paper."""

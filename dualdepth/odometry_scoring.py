@@ -19,7 +19,7 @@ from dualdepth.leaks import check_leak
 from dualdepth.predict import load_pose_net, predict_poses
 from dualdepth.preparation import Sources
 from dualdepth.results import Run, code_digest, file_digest
-from dualdepth.scoring import _is_current, device
+from dualdepth.scoring import device, is_current
 
 LENGTHS = (3, 5)
 """Frames of a snippet: 3 as the paper, 5 as Zhou et al."""
@@ -98,9 +98,10 @@ def predicted_motions(run: Run, variant: str, seed: int, entry: str) -> np.ndarr
     weights = run.require(run.weights(variant, seed), f"of {variant}, seed {seed},")
     check_leak(load_card(weights), scored_drives(run, [entry]), allow=Sources.load(run).allow_leak, weights=weights)
     files = list(sequence_frames(run, entry).values())
-    path = run.training(variant, seed) / f"motions_{sequence_of(entry)[0]}.npy"
-    made_from = {"weights": file_digest(weights), "frames": [f.name for f in files], "code": code_digest("predict")}
-    if not _is_current(path.with_suffix(".json"), made_from):
+    path = run.training(variant, seed) / f"motions_{'_'.join(sequence_of(entry))}.npy"
+    frames = [[str(f.resolve()), f.stat().st_size, f.stat().st_mtime_ns] for f in files]
+    made_from = {"weights": file_digest(weights), "frames": frames, "code": code_digest("predict")}
+    if not is_current(path.with_suffix(".json"), made_from):
         with atomic_path(path) as partial:
             np.save(partial, predict_poses(load_pose_net(weights), files, device=device()))
         write_json(path.with_suffix(".json"), made_from)
@@ -138,11 +139,21 @@ def control_poses(run: Run, name: str, truth: Trajectory) -> np.ndarray:
         return odometry.straight_ahead(len(truth.frames))
     if name == "inverted":
         return odometry.inverted(truth.poses)
+    known = [read_trajectory(poses_path(_root(run), entry)).poses for entry in known_sequences(run)]
+    return odometry.constant_velocity(len(truth.frames), odometry.mean_step(known))
+
+
+def known_sequences(run: Run) -> list[str]:
+    """Training sequences whose true poses are there.
+
+    Raises:
+        InputError: none has them.
+    """
     root, (train, _) = _root(run), run.profile.odometry_sequences()
-    known = [path for entry in train if (path := poses_path(root, entry)).is_file()]
+    known = [sequence_of(entry)[0] for entry in train if poses_path(root, entry).is_file()]
     if not known:
         raise InputError(f"{root}: no true poses of training sequences {', '.join(train)}, from which the constant velocity is taken")
-    return odometry.constant_velocity(len(truth.frames), odometry.mean_step([read_trajectory(path).poses for path in known]))
+    return known
 
 
 def _scores(truth: Trajectory, poses: np.ndarray, given: dict[int, np.ndarray] | None = None) -> SequenceScores:

@@ -9,6 +9,8 @@ import numpy as np
 
 from dualdepth.atomic import write_json
 from dualdepth.data.kitti import Frame, check_root, image_path, read_frame_list, read_static_frames, read_test_scenes, velodyne_path
+from dualdepth.data.label_maps import label_path
+from dualdepth.data.make3d import find_pairs
 from dualdepth.data.odometry import check_odometry_root, frame_files, poses_path, sequence_of, write_odometry_index
 from dualdepth.data.triplets import drive_triplets, missing_neighbours, name_missing, write_targets
 from dualdepth.errors import InputError
@@ -119,6 +121,35 @@ def write_odometry(run: Run, sources: Sources) -> int:
             raise InputError(f"{path_of}: the true poses of sequence {entry}, which is to be scored, are missing; download them first")
     check_separate([sequence_of(e)[0] for e in train], [sequence_of(e)[0] for e in test], "sequences", sources.allow_leak)
     return write_odometry_index(path, root, train)
+
+
+def check_labels_root(root: str | Path) -> Path:
+    """The folder of label maps, checked to hold some.
+
+    Raises:
+        InputError: it is missing or empty.
+    """
+    if not any(Path(root).glob("*/*.png")):
+        raise InputError(f"LABELS_ROOT {root}: holds no <drive>/<frame>.png; make the maps with python data_scripts/export_labels.py")
+    return Path(root)
+
+
+FOLDERS = {"odometry_root": check_odometry_root, "make3d_root": find_pairs, "labels_root": check_labels_root}
+"""What tells at once that a folder of another benchmark is not what it should be."""
+
+
+def check_labels(sources: Sources, scored: Sequence[Frame]) -> None:
+    """Make sure that every scored frame has a label map, where there are label maps.
+
+    Raises:
+        InputError: some have none; the first is named.
+    """
+    root = sources.labels_root
+    missing = [path for frame in scored if root and not (path := label_path(root, frame)).is_file()]
+    if missing:
+        raise InputError(
+            f"{missing[0]}: no label map, nor have {len(missing) - 1} other scored frames; make them with data_scripts/export_labels.py"
+        )
 
 
 def check_separate(train: Iterable[str], test: Iterable[str], what: str, allow_leak: bool) -> None:

@@ -10,7 +10,7 @@ import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from dualdepth import paper
-from dualdepth.assumptions import ASSUMPTIONS
+from dualdepth.assumptions import assumptions
 from dualdepth.atomic import write_text
 from dualdepth.results import Run
 from dualdepth.verdicts import NOT_RUN, RULES, compare_numbers, judge_claims
@@ -27,8 +27,14 @@ TITLES = {
 }
 HIDDEN = ("variant", "device", "seeds")
 """Columns of tables that the page does not show; the CSV files have them."""
-HEADINGS = {"mean_a": "mean of the one", "mean_b": "mean of the other", "n": "images", "note": "note"}
+HEADINGS = {"mean_a": "mean of the one", "mean_b": "mean of the other", "n": "scored", "in_words": "in words"}
 """Column names that a reader of the page needs in words."""
+WORTH = (
+    "What a 3-frame error of 0.016 m is worth: little. On KITTI a car that never turns and always drives at the mean speed of other"
+    " drives has 0.0163 on sequence 09 and 0.0131 on 10, and the truth with every pose inverted 0.0150 and 0.0088. Over a quarter of a"
+    " second every car drives straight on, so this score hardly sees whether it goes forwards. Judge PoseNet by its whole trajectories."
+)
+"""Of the paper's odometry score (PROTOCOLS B3)."""
 CAPTIONS = {
     "main_depth": "Frames, laser depth, predicted depth and relative error.",
     "ablation_depth": "Depth of the ablation's networks.",
@@ -55,11 +61,16 @@ class Report(NamedTuple):
     numbers: pd.DataFrame
     """`compare_numbers`."""
     tables: dict[str, pd.DataFrame]
+    more: dict[str, pd.DataFrame]
+    """Of odometry: whole trajectories by alignment, and PoseNet against the controls."""
     stamps: pd.DataFrame
     """Provenance of every table and figure."""
     figures: dict[str, Path]
+    assumptions: list[tuple[str, str, str]]
 
 
+FIGURE_OF = {"make3d": "make3d", "odometry_trajectories": "odometry", "sa_region": "sa_region"}
+"""Figures that are of one table, and left from an earlier run where that was not run."""
 CAUTIONS = {
     "none": "nothing here is judged: the networks were trained for a few steps, to show that everything runs.",
     "directions": "only the direction of each claim is judged, not its size.",
@@ -78,19 +89,23 @@ def make_report(run: Run) -> Report:
         run.require(folder / f"{name}.csv", f"{number}_table_{name}")
     read = {path.stem: pd.read_csv(path, dtype={"seeds": str}) for path in sorted(folder.glob("*.csv"))}
     tables = {name: read[name].fillna({"note": "", "seeds": ""}) for name in TITLES}
-    judged = run.profile.verdicts
+    leaks = {note[note.index("LEAK") :] for table in read.values() if "note" in table for note in table["note"].dropna() if "LEAK" in note}
+    judged = "none" if leaks else run.profile.verdicts
     claims, numbers = judge_claims(read), compare_numbers(tables, judged == "numbers")
     if judged == "none":
         claims["verdict"] = [verdict if verdict.startswith(NOT_RUN) else "not judged" for verdict in claims["verdict"]]
     where = "of a synthetic world, not of KITTI" if run.profile.world else "of a small training"
     caution = f"These are numbers {where}: {CAUTIONS[judged]}" if CAUTIONS[judged] else ""
-    figures = {path.stem: path for path in sorted((run.results / "figures").glob("*.png"))}
-    return Report(run.profile.about, caution, claims, numbers, tables, _provenance(run, judged_files(run)), figures)
-
-
-def judged_files(run: Run) -> list[Path]:
-    """The stamps of all tables and figures."""
-    return sorted((run.results / "tables").glob("*.json")) + sorted((run.results / "figures").glob("*.json"))
+    if leaks:
+        caution = f"Nothing is judged: frames were scored that networks were trained on. {'; '.join(sorted(leaks))}."
+    not_run = {name for name, table in tables.items() if "n" not in table or table["n"].isna().all()}
+    figures = {path.stem: path for path in sorted((run.results / "figures").glob("*.png")) if path.stem in CAPTIONS}
+    figures = {name: path for name, path in figures.items() if FIGURE_OF.get(name) not in not_run}
+    stamps = sorted((run.results / "tables").glob("*.json")) + [path.with_suffix(".json") for path in figures.values()]
+    stamps = [path for path in stamps if not path.stem.startswith("report_")]
+    more = {name: read[name] for name in ("odometry_trajectories", "odometry_claims") if name in read}
+    chosen = assumptions(run.profile.training.loss)
+    return Report(run.profile.about, caution, claims, numbers, tables, more, _provenance(run, stamps), figures, chosen)
 
 
 def _provenance(run: Run, stamps: Sequence[Path]) -> pd.DataFrame:
@@ -150,7 +165,9 @@ def html(report: Report, name: str) -> str:
         headings=HEADINGS,
         pictures=pictures,
         captions=CAPTIONS,
-        assumptions=ASSUMPTIONS,
+        more={k: shown(k, frame) for k, frame in report.more.items()},
+        assumptions=report.assumptions,
+        worth=WORTH,
         oddities=paper.ODDITIES,
         rules=RULES,
     )

@@ -37,7 +37,8 @@ CODE = {
     "train_hr": ("networks.hr_net", "networks.attention", "networks.dual_net", "networks.architecture", "hr_stage"),
     "odometry": ("data.odometry",),
     "predict": (
-        *("predict", "scoring", "odometry_scoring", "networks", "evaluation.depth", "evaluation.baselines", "evaluation.make3d"),
+        *("predict", "scoring", "make3d_scoring", "odometry_scoring", "networks"),
+        *("evaluation.depth", "evaluation.baselines", "evaluation.make3d"),
         *("data.augmentation", "data.loading", "data.kitti", "data.depth_maps", "data.make3d", "data.odometry", "data.trajectories"),
     ),
     "tables": ("tables", "paper", "plots", "figures", "evaluation", "data.label_maps", "leaks"),
@@ -152,10 +153,16 @@ class Run:
             "profile": self.profile.name,
             "profile_sha256": hashlib.sha256(self.profile.model_dump_json().encode()).hexdigest(),
             "lock_sha256": file_digest(self.root / "environment.lock"),
-            "inputs_sha256": {str(p.relative_to(self.root)): file_digest(p) for p in inputs},
+            "inputs_sha256": {str(p.relative_to(self.root) if p.is_relative_to(self.root) else p): file_digest(p) for p in inputs},
+            **({"allow_leak": True} if self.allow_leak else {}),
             "python": platform.python_version(),
             "machine": f"{platform.system()} {platform.machine()}",
         }
+
+    @property
+    def allow_leak(self) -> bool:
+        """Whether this run may score what was trained on; its results then say so."""
+        return self.sources.exists() and json.loads(self.sources.read_text(encoding="utf-8")).get("allow_leak", False)
 
     @cached_property
     def _revision(self) -> tuple[str, bool]:
@@ -197,6 +204,12 @@ def file_digest(path: Path) -> str | None:
         return None
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def folder_digest(folder: str | Path, *patterns: str) -> str:
+    """Digest of names, sizes and times of files below a folder, to notice cheaply that they were replaced; of nothing for no folder."""
+    files = sorted(path for pattern in patterns for path in Path(folder).glob(pattern)) if folder else []
+    return _short_digest(*(f"{path.name} {path.stat().st_size} {path.stat().st_mtime_ns}" for path in files))
 
 
 def code_digest(*steps: str) -> str:

@@ -80,7 +80,7 @@ def score_training(run: Run, variant: str, seed: int) -> pd.DataFrame:
     check_leak(load_card(weights), scored_drives(run), allow=Sources.load(run).allow_leak, weights=weights)
     folder = run.training(variant, seed)
     made_from = _made_from(run, weights)
-    if _is_current(folder / "per_image.json", made_from):
+    if is_current(folder / "per_image.json", made_from):
         return pd.read_csv(folder / "per_image.csv", index_col="image")
     disparities = predict_disparities(load_depth_net(weights), image_paths(run), device=device())
     with atomic_path(folder / "disparities.npy") as partial:
@@ -169,7 +169,8 @@ def _made_from(run: Run, weights: Path) -> dict[str, Any]:
     }
 
 
-def _is_current(path: Path, made_from: dict[str, Any]) -> bool:
+def is_current(path: Path, made_from: dict[str, Any]) -> bool:
+    """Whether a kept file was made from just this, as the JSON beside it says."""
     try:
         return json.loads(path.read_text(encoding="utf-8")) == made_from
     except (OSError, ValueError):

@@ -1,6 +1,7 @@
 """No drive is scored that was trained on, unless asked for, and then the result says so."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -87,6 +88,29 @@ def test_the_commands_refuse_a_leak_unless_allowed(scored, capsys, command):
     weights(["2011_09_26/2011_09_26_drive_0009_sync"])
     assert main(command) == 0
     assert "leak" not in json.loads(capsys.readouterr().out)
+
+
+@pytest.mark.parametrize(
+    ("trained", "sequence", "said"),
+    [
+        ("odometry/09", "09", "was trained on odometry/09"),
+        ("x", "9", "sequence '9': give one of 00, 01"),
+        ("x", "seq09", "sequence 'seq09'"),
+    ],
+)
+def test_sequences_of_the_world_are_guarded_too_and_must_be_named_well(scored, capsys, trained, sequence, said):
+    weights([trained])
+    with pytest.raises(SystemExit):
+        main([*POSES[:-1], sequence])
+    assert said in capsys.readouterr().err
+
+
+def test_a_list_of_other_frames_guards_nothing(scored, capsys):
+    weights([])
+    Path("list.txt").write_text("2011_09_26/2011_09_26_drive_0001_sync 0000000000 l\n")
+    with pytest.raises(SystemExit):
+        main(DEPTH)
+    assert "list.txt: lists 1 frames but G.npz holds 2" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("option", ["--weights", "--list"])

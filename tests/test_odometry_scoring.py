@@ -232,8 +232,8 @@ def test_claims_say_which_control_is_beaten(run, monkeypatch):
     monkeypatch.setattr(table_module, "_sequence", lambda run, name, seed, entry: scores(10.0 + seed, 0.02))
     monkeypatch.setattr(table_module, "_control", lambda run, name, entry: scores({"constant": 10.5}.get(name, 50.0), 0.01))
     table = odometry_claims(run, [0, 1]).set_index(["b", "metric"])
-    assert table.loc[("straight", "t_err"), "in_words"] == "better by 39.5 %; better with 2 of 2 seeds"
-    assert table.loc[("constant", "t_err"), "in_words"] == "worse by 0 %; better with 1 of 2 seeds"
+    assert table.loc[("straight", "t_err"), "in_words"] == "better by 39.5 points of t_err; better with 2 of 2 seeds"
+    assert table.loc[("constant", "t_err"), "in_words"] == "the same"
     assert table.loc[("constant", "snippet_ate_3"), "in_words"].startswith("worse by 0.01")
 
 

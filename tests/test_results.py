@@ -8,7 +8,7 @@ import pytest
 
 from dualdepth import results
 from dualdepth.errors import InputError
-from dualdepth.results import CODE, PACKAGE, Run, code_digest, file_digest, notebook_digest, project_root
+from dualdepth.results import CODE, PACKAGE, Run, code_digest, file_digest, folder_digest, notebook_digest, project_root
 
 SOURCE = '''"""A module."""
 
@@ -209,3 +209,14 @@ def test_tables_are_stale_when_the_variants_or_their_labels_change(project):
     assert digest("train: {lr: , dual: {training.hr.max_steps: 9}}\n") != plain
     label = "variants: {{dual: {{label: {}, about: x, network: dual, starts_from: lr}}}}\ntrain: {{lr: , dual: }}\n"
     assert digest(label.format("a")) != digest(label.format("b"))
+
+
+def test_a_folders_digest_changes_with_its_files_alone(tmp_path):
+    assert folder_digest("", "*") == folder_digest(tmp_path, "*")
+    (tmp_path / "a.png").write_bytes(b"1")
+    before = folder_digest(tmp_path, "*.png")
+    assert before == folder_digest(tmp_path, "*.png") != folder_digest("", "*.png")
+    (tmp_path / "other.txt").touch()
+    assert folder_digest(tmp_path, "*.png") == before
+    (tmp_path / "a.png").write_bytes(b"12")
+    assert folder_digest(tmp_path, "*.png") != before

@@ -140,3 +140,16 @@ def test_without_its_folder_odometry_is_not_trained_but_has_its_table(chain, tmp
 def test_every_notebook_is_in_the_chain(chain):
     named = {path.stem for path in (project_root() / "notebooks").glob("*.ipynb")}
     assert named == {line.split()[0] for line in chain()}
+
+
+def test_replaced_files_of_a_folder_make_their_page_stale(chain, tmp_path):
+    profile = tmp_path / "own.yaml"
+    profile.write_text(profile.read_text().replace(*KITTI))
+    grids = tmp_path / "make3d" / "Gridlaserdata"
+    grids.mkdir(parents=True)
+    (grids / "a.mat").write_text("one")
+    given = f"make3d_root={tmp_path / 'make3d'}"
+    chain(given)
+    assert chain(given) == []
+    (grids / "a.mat").write_text("another")
+    assert chain(given) == ["06_table_make3d", "14_report"]

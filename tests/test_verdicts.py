@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 
 from dualdepth import paper, verdicts
+from dualdepth.results import project_root
 from dualdepth.verdicts import (
     CLAIMS,
     NOT_REPRODUCED,
@@ -95,7 +96,28 @@ def test_what_was_not_run_says_why():
     assert set(table.query("row == 'Baseline (LR-Net only)'")["verdict"]) == {"not run: no GPU"}
 
 
-def test_numbers_are_judged_only_where_asked_but_counts_always():
+def test_the_papers_two_regions_are_told_apart():
+    """0.080 is printed with three digits, though it ends in a zero."""
+    road = {"region": "Road", "source": "measured", "abs_rel": 0.085}
+    table = pd.concat([paper.table("sa_region"), pd.DataFrame([road | {"variant": "dual"}, road | {"variant": "dual_no_sa"}])])
+    rows = compare_numbers({"sa_region": table}, judged=True).set_index("row")["verdict"]
+    assert rows["Road, w/ SA"] == NOT_REPRODUCED and rows["Road, w/o SA"] == REPRODUCED
+
+
+def test_a_reading_that_was_chosen_by_its_closeness_is_not_judged():
+    ours = {"method": "w/ HR-Net", "closest": True, "ratio": 5.1, "source": "measured"}
+    table = pd.concat([paper.table("sharpness").assign(ratio=[np.nan, 5.15], closest=False), pd.DataFrame([ours])])
+    row = compare_numbers({"sharpness": table}, judged=True).iloc[0]
+    assert row["ours"] == 5.1 and pd.isna(row["verdict"]) and row["note"].startswith("not judged")
+
+
+def test_snippets_are_counted_for_their_own_sequence():
+    ours = {"variant": "odometry_lr", "frames": 3, "snippet_ate_mean_09": 0.017, "n_09": 114, "n_10": 115, "n": 229, "source": "measured"}
+    table = compare_numbers({"odometry": pd.concat([paper.table("odometry"), pd.DataFrame([ours])])}, judged=True)
+    assert table.query("metric == 'snippet_ate_mean_09' and row == 'Ours (LR-Net)'")["n"].item() == 114
+
+
+def test_numbers_are_judged_only_where_asked():
     backbone = pd.concat(
         [
             paper.table("backbone"),
@@ -103,8 +125,10 @@ def test_numbers_are_judged_only_where_asked_but_counts_always():
         ]
     )
     table = compare_numbers({"backbone": backbone}, judged=False).query("row == 'ResNet18'").set_index("metric")
-    assert table.loc["params_m", "verdict"] == REPRODUCED and table.loc["gmacs", "verdict"] == NOT_REPRODUCED
-    assert pd.isna(table.loc["abs_rel", "verdict"])
+    assert table["verdict"][["params_m", "gmacs", "abs_rel"]].isna().all() and table["verdict"]["a1"] == "not run: no number"
+    assert table.loc["params_m", "difference"] == pytest.approx(16.313 - 16.43)
+    table = compare_numbers({"backbone": backbone}, judged=True).query("row == 'ResNet18'").set_index("metric")["verdict"]
+    assert table["params_m"] == REPRODUCED and table["gmacs"] == NOT_REPRODUCED
 
 
 def claims_table(**row):
@@ -117,6 +141,26 @@ def test_a_claim_is_judged_by_its_row():
     first = table.iloc[0]
     assert first["claim"] == CLAIMS[0].text and first["metric"] == "abs_rel" and first["verdict"] == REPRODUCED
     assert (table["verdict"].iloc[1:].str.startswith("not run: ")).all()
+
+
+@pytest.mark.parametrize(
+    ("far", "verdict"), [((-0.1, -0.2, -0.05), REPRODUCED), ((0.02, 0.01, 0.03), NOT_REPRODUCED), ((-0.1, -0.2, 0.1), WITHIN_NOISE)]
+)
+def test_to_gain_more_far_away_is_nothing_without_a_gain(far, verdict):
+    gain = claims_table(difference=0.04, low=0.03, high=0.05, spread=0.001, seeds=3).assign(
+        a="gain of dual, > 20 m", distance="far against near"
+    )
+    part = claims_table(difference=far[0], low=far[1], high=far[2], spread=0.001, seeds=3).assign(distance="> 20 m")
+    table = judge_claims({"distance_claims": pd.concat([gain, part])}).set_index("claim")
+    assert table.loc["The gain is largest far away", "verdict"] == verdict
+
+
+def test_every_row_and_claim_is_found_in_the_tables_of_the_last_published_run():
+    folder = project_root() / "results" / "published" / "tiny" / "tables"
+    tables = {path.stem: pd.read_csv(path, dtype={"seeds": str}) for path in folder.glob("*.csv")}
+    numbers = compare_numbers(tables, judged=True)
+    assert len(numbers) > 100 and not numbers["verdict"].astype(str).str.contains("no row of ours").any()
+    assert not judge_claims(tables)["verdict"].str.contains("no comparison was made").any()
 
 
 def test_a_claim_that_could_not_be_compared_says_why():

@@ -64,6 +64,11 @@ def run(arguments: argparse.Namespace) -> int:
     leak = leak_of(arguments, arguments.list, "--list", lambda path: sorted({frame.drive for frame in read_frame_list(path)}))
     predictions = load_predictions(arguments.pred)
     ground_truths = load_ground_truth(arguments.gt, allow_pickle=arguments.allow_pickle)
+    if arguments.list and len(read_frame_list(arguments.list)) != len(ground_truths):
+        frames = len(read_frame_list(arguments.list))
+        raise InputError(
+            f"{arguments.list}: lists {frames} frames but {arguments.gt} holds {len(ground_truths)}; give the list it was made from"
+        )
     if len(predictions) != len(ground_truths):
         raise InputError(
             f"{arguments.pred}: holds {len(predictions)} predictions but {arguments.gt} holds {len(ground_truths)} ground truths;"

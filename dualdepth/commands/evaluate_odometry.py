@@ -41,12 +41,12 @@ def run(arguments: argparse.Namespace) -> int:
     import math
     import sys
 
-    from dualdepth.data.odometry import drives_of
+    from dualdepth.data.odometry import guarded_drives
     from dualdepth.data.trajectories import paired, read_trajectory
     from dualdepth.errors import InputError
     from dualdepth.evaluation.odometry import SEGMENTS, snippet_errors, snippets, trajectory_errors
 
-    leak = leak_of(arguments, arguments.sequence, "--sequence", lambda name: drives_of([name], world=False))
+    leak = leak_of(arguments, arguments.sequence, "--sequence", guarded_drives)
     prediction, truth = read_trajectory(arguments.pred), read_trajectory(arguments.gt)
     frames, poses, true_poses = paired(prediction, truth, (arguments.pred, arguments.gt))
     if len(frames) < 2:

@@ -52,9 +52,9 @@ def reproduce(arguments: argparse.Namespace) -> int:
     from pathlib import Path
 
     from dualdepth.data.kitti import check_root, read_frame_list
-    from dualdepth.data.odometry import check_odometry_root
     from dualdepth.errors import InputError
     from dualdepth.lock import locked
+    from dualdepth.preparation import FOLDERS
     from dualdepth.results import Run
 
     run = Run(arguments.profile)
@@ -65,8 +65,9 @@ def reproduce(arguments: argparse.Namespace) -> int:
         check_root(arguments.kitti_root)
     if arguments.test_list:
         read_frame_list(arguments.test_list)
-    if arguments.odometry_root:
-        check_odometry_root(arguments.odometry_root)
+    for name, check in FOLDERS.items():
+        if getattr(arguments, name):
+            check(getattr(arguments, name))
     for name in ROOTS:
         given = getattr(arguments, name)
         config[name] = str(Path(given).resolve()) if given else ""

@@ -109,6 +109,17 @@ def drives_of(sequences: Iterable[str], *, world: bool) -> list[str]:
     return sorted({f"odometry/{name}" if world else RAW_DRIVES.get(name, f"odometry/{name}") for name in names})
 
 
+def guarded_drives(sequence: str) -> list[str]:
+    """Drives that frames of a sequence are of, whether of KITTI or of the synthetic world: what a guard must look for.
+
+    Raises:
+        InputError: no sequence of KITTI's.
+    """
+    if sequence not in RAW_DRIVES:
+        raise InputError(f"sequence {sequence!r}: give one of {', '.join(RAW_DRIVES)}")
+    return [*drives_of([sequence], world=False), *drives_of([sequence], world=True)]
+
+
 COLUMNS = ["sequence", "camera", "index", "previous", "target", "next", "fx", "fy", "cx", "cy"]
 
 

@@ -20,6 +20,7 @@ def evaluate_regions(
     ground_truths: Sequence[np.ndarray],
     label_maps: Sequence[np.ndarray],
     *,
+    names: Sequence[str] | None = None,
     least: int = LEAST,
     **protocol: Any,
 ) -> pd.DataFrame:
@@ -31,6 +32,7 @@ def evaluate_regions(
         predictions: (h, w) each, positive.
         ground_truths: (H, W) metres each, 0 where there is no measurement.
         label_maps: (H, W) Cityscapes training ids each.
+        names: of the images, for messages; else their places.
         least: images with fewer valid pixels of a region have no row for it.
         **protocol: fields of `Protocol`.
 
@@ -51,7 +53,9 @@ def evaluate_regions(
         labels = label_maps[number]
         if labels.shape != ground_truth.shape:
             sizes = f"the label map is of {_size(labels)} pixels, the ground truth of {_size(ground_truth)}"
-            raise InputError(f"image {number}: {sizes}; make the label maps from the images of this ground truth")
+            raise InputError(
+                f"{names[number] if names else f'image {number}'}: {sizes}; make the label maps from the images of this ground truth"
+            )
         try:
             pixels = valid_pixels(predictions[number], ground_truth, settings)
         except InputError as error:

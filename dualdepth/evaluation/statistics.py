@@ -17,7 +17,13 @@ class Difference(NamedTuple):
 
 
 def paired_bootstrap(
-    a: Sequence[float] | np.ndarray, b: Sequence[float] | np.ndarray, *, seed: int, samples: int = 10000, confidence: float = 0.95
+    a: Sequence[float] | np.ndarray,
+    b: Sequence[float] | np.ndarray,
+    *,
+    seed: int,
+    samples: int = 10000,
+    confidence: float = 0.95,
+    block: int = 1,
 ) -> Difference:
     """Percentile bootstrap of the mean difference of two methods over the same images.
 
@@ -29,6 +35,8 @@ def paired_bootstrap(
         seed: of the draws; the same seed gives the same interval.
         samples: bootstrap samples.
         confidence: share of the samples inside the interval, in (0, 1).
+        block: draw runs of so many neighbours, for values that depend on their neighbours' (circular block bootstrap, Politis and
+            Romano 1992).
 
     Returns:
         The mean of a − b, and the lower and upper end of its interval.
@@ -40,9 +48,13 @@ def paired_bootstrap(
     if a.ndim != 1 or a.shape != b.shape or a.size < 2 or not np.isfinite([a, b]).all():
         raise InputError(f"paired bootstrap: shapes {a.shape} and {b.shape}; give two lists of equal length (≥ 2) of finite values")
     difference = a - b
-    # how often each image is drawn says all about a sample's mean
-    drawn = np.random.default_rng(seed).multinomial(a.size, np.full(a.size, 1 / a.size), size=samples)
-    means = drawn @ difference / a.size
+    block = min(block, a.size)
+    runs = np.concatenate([difference, difference[: block - 1]])
+    block_means = np.convolve(runs, np.full(block, 1 / block), mode="valid")  # of the run that begins at each value
+    # how often each run is drawn says all about a sample's mean
+    count = -(-a.size // block)
+    drawn = np.random.default_rng(seed).multinomial(count, np.full(a.size, 1 / a.size), size=samples)
+    means = drawn @ block_means / count
     low, high = np.quantile(means, [(1 - confidence) / 2, (1 + confidence) / 2])
     return Difference(float(difference.mean()), float(low), float(high))
 
@@ -95,13 +107,14 @@ class Comparison(NamedTuple):
         return bool(abs(self.difference) > t_interval(self.spread, self.seeds))
 
 
-def compare(a: Sequence[Sequence[float]], b: Sequence[Sequence[float]], *, seed: int = 0) -> Comparison:
+def compare(a: Sequence[Sequence[float]], b: Sequence[Sequence[float]], *, seed: int = 0, block: int = 1) -> Comparison:
     """Compare per-image values of two methods that were trained with the same seeds.
 
     Args:
         a: (S, N): of each seed, the images' values of one method.
         b: (S, N): of the other, same seeds, same images.
         seed: of the bootstrap's draws.
+        block: see `paired_bootstrap`.
 
     Raises:
         InputError: shapes that differ, or values that are not finite.
@@ -110,4 +123,4 @@ def compare(a: Sequence[Sequence[float]], b: Sequence[Sequence[float]], *, seed:
     if a.ndim != 2 or a.shape != b.shape:
         raise InputError(f"comparison: shapes {a.shape} and {b.shape}; give (seeds, images) of both methods, the same")
     spread = mean_std((a - b).mean(axis=1))[1]
-    return Comparison(float(a.mean()), float(b.mean()), *paired_bootstrap(a.mean(0), b.mean(0), seed=seed), spread, len(a))
+    return Comparison(float(a.mean()), float(b.mean()), *paired_bootstrap(a.mean(0), b.mean(0), seed=seed, block=block), spread, len(a))

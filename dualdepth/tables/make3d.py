@@ -1,97 +1,26 @@
 """Make3D: the trained networks, not fine-tuned, on upright photos of another camera in other places."""
 
-import hashlib
 from collections.abc import Sequence
-from functools import lru_cache, partial
-from pathlib import Path
+from functools import partial
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 import pandas as pd
 
-from dualdepth.atomic import write_json, write_text
-from dualdepth.data import make3d as data
 from dualdepth.data.augmentation import resize
 from dualdepth.data.depth_maps import load_ground_truth
-from dualdepth.data.make3d import Pair, find_pairs, is_truncated, read_grid, read_photo
-from dualdepth.errors import InputError
-from dualdepth.evaluation import make3d as evaluation
+from dualdepth.data.make3d import read_photo
 from dualdepth.evaluation.baselines import GRID, depth_sums, mean_depth
 from dualdepth.evaluation.depth import resized
 from dualdepth.evaluation.make3d import CONVENTIONS, FARTHEST, METRICS, ROWS, Convention, evaluate_make3d, visible
-from dualdepth.predict import DepthNet, load_depth_net, predict_disparities
-from dualdepth.preparation import Sources
-from dualdepth.results import Run, code_digest, file_digest
-from dualdepth.scoring import _is_current, device, untrained_net
+from dualdepth.make3d_scoring import NOT_RUN, PUBLISHED, Photos, load_photos, predict_photos, score_make3d
+from dualdepth.predict import load_depth_net
+from dualdepth.results import Run
+from dualdepth.scoring import untrained_net
 from dualdepth.tables.rows import COMPARISON, compare_trainings, mean_row, said_seeds, training_note, training_row, with_paper
 
 VARIANTS = ("lr", "dual_no_sa", "dual")
-NOT_RUN = "not run: no MAKE3D_ROOT; get it with python data_scripts/download_make3d.py --root DIR"
-
-
-class Photos(NamedTuple):
-    """The photos that are scored, in the order of their names."""
-
-    pairs: tuple[Pair, ...]
-    grids: np.ndarray
-    """(N, 55, 305) metres."""
-    truncated: tuple[str, ...]
-    """Photos that lack their end."""
-    digest: str
-    """Of all photos and grids."""
-
-
-def load_photos(run: Run) -> Photos | None:
-    """Make3D's photos and grids, or None where the run has no MAKE3D_ROOT; read anew only when a file has changed.
-
-    Raises:
-        InputError: a photo without grid or the other way round, or a grid that cannot be read.
-    """
-    root = Sources.load(run).make3d_root
-    if root is None:
-        return None
-    pairs = tuple(find_pairs(root))
-    stats = [path.stat() for pair in pairs for path in (pair.photo, pair.grid)]
-    return _read(pairs, tuple((s.st_size, s.st_mtime_ns) for s in stats))
-
-
-@lru_cache(maxsize=2)
-def _read(pairs: tuple[Pair, ...], changed: tuple[tuple[int, int], ...]) -> Photos:
-    grids = np.stack([read_grid(pair.grid) for pair in pairs])
-    truncated = tuple(pair.photo.name for pair in pairs if is_truncated(pair.photo))
-    digests = [(pair.name, file_digest(pair.photo), file_digest(pair.grid)) for pair in pairs]
-    return Photos(pairs, grids, truncated, hashlib.sha256(str(digests).encode()).hexdigest())
-
-
-def predict_photos(net: DepthNet, pairs: Sequence[Pair], convention: Convention) -> np.ndarray:
-    """Depth (N, h, w) of what the network is shown of each photo, at its own size, of unknown scale."""
-
-    def read(path: str | Path) -> np.ndarray:
-        return visible(read_photo(path), convention)
-
-    return 1.0 / predict_disparities(net, [pair.photo for pair in pairs], device=device(), read=read)
-
-
-def score_make3d(run: Run, variant: str, seed: int, *, convention: Convention) -> pd.DataFrame:
-    """Per-photo scores of a training's last weights, kept beside them as `make3d_<convention>.csv` and reused while they fit.
-
-    Raises:
-        InputError: the run has no MAKE3D_ROOT, the weights are missing, or a photo cannot be read.
-    """
-    photos = load_photos(run)
-    if photos is None:
-        raise InputError(NOT_RUN)
-    notebook = "03_train_lr" if run.profile.variant(variant).stage == "lr" else "04_train_hr"
-    weights = run.require(run.weights(variant, seed), f"{notebook}, variant {variant}, seed {seed},")
-    path = run.training(variant, seed) / f"make3d_{convention}.csv"
-    code = [file_digest(Path(module.__file__ or "")) for module in (data, evaluation)]
-    made_from = {"weights": file_digest(weights), "photos": photos.digest, "code": [code_digest("predict"), *code]}
-    if not _is_current(path.with_suffix(".json"), made_from):
-        depths = predict_photos(load_depth_net(weights), photos.pairs, convention)
-        write_text(path, evaluate_make3d(depths, photos.grids, convention).to_csv())
-        write_json(path.with_suffix(".json"), made_from)
-    return pd.read_csv(path, index_col="image")
 
 
 def make3d_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
@@ -136,7 +65,7 @@ def untrained_row(run: Run, seeds: Sequence[int], photos: Photos | None, convent
     if photos is not None:
         depths = (predict_photos(untrained_net(run, seed), photos.pairs, convention) for seed in seeds)
         row |= mean_row([evaluate_make3d(depth, photos.grids, convention) for depth in depths], METRICS)
-        row |= {"seeds": said_seeds(seeds), "note": _said(photos, "before its first step")}
+        row |= {"seeds": said_seeds(seeds), "note": _said(run, photos, "before its first step")}
     return row
 
 
@@ -147,7 +76,7 @@ def trained_row(run: Run, variant: str, seeds: Sequence[int], photos: Photos | N
         return row | training_row(run, variant, seeds)
     if photos is not None:
         row |= training_row(run, variant, seeds, scores=partial(score_make3d, convention=convention), columns=METRICS)
-        row["note"] = _said(photos, f"{training_note(run, variant, seeds[0], drives=())}, not fine-tuned")
+        row["note"] = _said(run, photos, f"{training_note(run, variant, seeds[0], drives=())}, not fine-tuned")
     return row
 
 
@@ -158,14 +87,22 @@ def _row(method: str, convention: str, photos: Photos | None) -> dict[str, Any]:
     return row if photos is not None else row | {"note": NOT_RUN}
 
 
-def _said(photos: Photos, note: str) -> str:
-    """The note, and which photos were read without their end."""
-    return "; ".join([note, *(f"{name} is truncated" for name in photos.truncated)])
+def _said(run: Run, photos: Photos, note: str) -> str:
+    """The note, which photo was read without its end, and whether some of the published ones are missing."""
+    missing = [f"{len(photos.pairs)} of {PUBLISHED} photos"] if not run.profile.world and len(photos.pairs) != PUBLISHED else []
+    return "; ".join([note, *(f"{name} is truncated" for name in photos.truncated), *missing])
 
 
 def _score_constant(depth: float, photos: Photos, *, median_scaling: bool) -> pd.DataFrame:
     maps = [np.full((1, 1), depth)] * len(photos.grids)
     return evaluate_make3d(maps, photos.grids, "band", median_scaling=median_scaling)
+
+
+def made_from(run: Run, seeds: Sequence[int]) -> dict[str, Any]:
+    """What the table is made from, as arguments of `Run.save_table`: weights, and one digest of all photos and grids."""
+    photos = load_photos(run)
+    weights = [run.weights(v, seed) for v in VARIANTS if v in run.profile.train for seed in seeds]
+    return {"inputs": weights if photos else [], "seeds": list(seeds), "photos_sha256": photos.digest if photos else None}
 
 
 def make3d_claims(run: Run, seeds: Sequence[int]) -> pd.DataFrame:

@@ -2,15 +2,26 @@
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from dualdepth.data.odometry import drives_of, sequence_of
+from dualdepth.checkpoints import load_card
+from dualdepth.data.odometry import drives_of, poses_path, sequence_of
 from dualdepth.evaluation.odometry import ALIGNMENTS
 from dualdepth.evaluation.statistics import mean_std
-from dualdepth.odometry_scoring import CONTROLS, LENGTHS, SequenceScores, score_control, score_sequence, true_trajectory
+from dualdepth.leaks import check_leak
+from dualdepth.odometry_scoring import (
+    CONTROLS,
+    LENGTHS,
+    SequenceScores,
+    known_sequences,
+    score_control,
+    score_sequence,
+    true_trajectory,
+)
 from dualdepth.preparation import Sources
 from dualdepth.results import Run
 from dualdepth.tables.rows import COMPARISON, comparison_row, said_seeds, training_note, with_paper
@@ -18,6 +29,8 @@ from dualdepth.tables.rows import COMPARISON, comparison_row, said_seeds, traini
 VARIANTS = ("odometry_lr", "odometry_dual")
 TRAJECTORY = ("t_err", "r_err", "ate", "rpe_t", "rpe_r")
 """t_err in % of the length, r_err in degrees per 100 m, ate and rpe_t in metres, rpe_r in degrees."""
+BLOCK = 50
+"""Snippets that are drawn together: five seconds, in which a car's motion is much the same."""
 NEEDS = "not run: no ODOMETRY_ROOT; get it with python data_scripts/download_kitti.py --root DIR --odometry"
 
 _sequence = lru_cache(maxsize=256)(score_sequence)
@@ -60,6 +73,20 @@ def sequences(run: Run) -> list[str]:
     return run.profile.odometry_sequences()[1] if run.profile.trained_on("odometry") else []
 
 
+def scored_variants(run: Run) -> list[str]:
+    """The odometry trainings that this run scores."""
+    return [name for name in VARIANTS if not _why_not(run, name)]
+
+
+def scored_with(run: Run, seeds: Sequence[int]) -> list[Path]:
+    """What the odometry table is made from, for its stamp: weights and true poses."""
+    variants = scored_variants(run)
+    if not variants:
+        return []
+    root = Sources.load(run).odometry_root
+    return [run.weights(v, seed) for v in variants for seed in seeds] + [poses_path(root, entry) for entry in sequences(run)]
+
+
 def _of_seeds(run: Run, name: str, seeds: Sequence[int], entry: str) -> list[SequenceScores]:
     return [_sequence(run, name, seed, entry) for seed in seeds] if name in VARIANTS else [_control(run, name, entry)]
 
@@ -92,9 +119,8 @@ def _drives(run: Run) -> list[str]:
 
 
 def _control_note(run: Run, name: str) -> str:
-    train = " ".join(run.profile.odometry_sequences()[0])
     return {
-        "constant": f"control: the mean step of sequences {train}, never turning",
+        "constant": f"control: the mean step of sequences {' '.join(known_sequences(run))}, never turning",
         "straight": "control: a metre a frame along the optical axis",
         "inverted": "control: a mistake that snippets hardly see",
     }[name]
@@ -107,6 +133,8 @@ def trajectory_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
         if _why_not(run, name):
             rows.append({"method": method, "source": "measured", "note": _why_not(run, name)})
             continue
+        trained = name in VARIANTS
+        leak = check_leak(load_card(run.weights(name, seeds[0])), _drives(run), allow=True) if trained else ""
         for entry in sequences(run):
             scores = _of_seeds(run, name, seeds, entry)
             for how in ALIGNMENTS:
@@ -114,9 +142,9 @@ def trajectory_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
                 for metric in TRAJECTORY:
                     row[metric], row[f"{metric}_std"] = mean_std([s.trajectory[how][metric] for s in scores])
                 segments = scores[0].trajectory[how]["segments"]
-                said = said_seeds(seeds) if name in VARIANTS else ""
-                note = "" if segments else "no segment of 100 m: the path is too short"
-                rows.append(row | {"segments": segments, "seeds": said, "source": "measured", "note": note})
+                said = said_seeds(seeds) if trained else ""
+                notes = ["" if segments else "no segment of 100 m: the path is too short", leak]
+                rows.append(row | {"segments": segments, "seeds": said, "source": "measured", "note": "; ".join(filter(None, notes))})
     columns = ["method", "sequence", "align", *TRAJECTORY, "segments", "seeds", "source", "note", *(f"{m}_std" for m in TRAJECTORY)]
     return pd.DataFrame(rows).reindex(columns=columns)
 
@@ -124,11 +152,11 @@ def trajectory_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
 def odometry_claims(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
     """PoseNet against each control: t_err of the 7dof-aligned trajectory, and snippets of 3 frames paired; stage 2 against stage 1.
 
-    Snippets overlap, so that their intervals are narrower than they ought to be. t_err is one number a seed: a control must be
-    beaten by every seed.
+    Snippets depend on their neighbours, so their intervals are of runs of `BLOCK`. t_err is one number a seed: it is said how many
+    seeds beat a control.
     """
     rows: list[dict[str, Any]] = []
-    trained = [name for name in VARIANTS if not _why_not(run, name)]
+    trained = scored_variants(run)
     for entry in sequences(run) if trained else []:
         place = f"sequence {sequence_of(entry)[0]}"
         pairs = [(name, control) for name in trained for control in CONTROLS]
@@ -138,7 +166,9 @@ def odometry_claims(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
             of_b = of_b * (len(of_a) // len(of_b))
             rows.append({"sequence": place, "a": a, "b": b, "metric": "t_err", **_t_err_row(of_a, of_b)})
             ates = [[s.snippets[3]["ate"].to_numpy() for s in scores] for scores in (of_a, of_b)]
-            rows.append({"sequence": place, "a": a, "b": b, "metric": "snippet_ate_3", **comparison_row(*ates, lower_is_better=True)})
+            compared = comparison_row(*ates, lower_is_better=True, block=BLOCK)
+            compared["in_words"] = compared["in_words"].replace("images", "snippets")
+            rows.append({"sequence": place, "a": a, "b": b, "metric": "snippet_ate_3", **compared})
     return pd.DataFrame(rows, columns=["sequence", *COMPARISON])
 
 
@@ -150,21 +180,22 @@ def _t_err_row(a: Sequence[SequenceScores], b: Sequence[SequenceScores]) -> dict
     difference = errors[0] - errors[1]
     mean, spread = mean_std(difference)
     better = int((difference < 0).sum())
-    words = f"{'better' if mean < 0 else 'worse'} by {abs(mean):.3g} %; better with {better} of {len(difference)} seeds"
+    if not mean:
+        return {"n": segments, "in_words": "the same"}
+    words = f"{'better' if mean < 0 else 'worse'} by {abs(mean):.3g} points of t_err; better with {better} of {len(difference)} seeds"
     means = {"mean_a": errors[0].mean(), "mean_b": errors[1].mean(), "difference": mean, "spread": spread, "seeds": len(difference)}
     return means | {"n": segments, "in_words": words}
 
 
 def paths(run: Run, seed: int, entry: str) -> dict[str, np.ndarray]:
-    """Positions (N, 3) in metres for a plot, laid on the truth with 7dof: the truth, ours, and the straight control."""
+    """Positions (N, 3) in metres for a plot, laid on the truth with 7dof: the truth and ours."""
     from dualdepth.data.trajectories import read_trajectory
     from dualdepth.evaluation.odometry import aligned, relative
 
     truth = true_trajectory(run, entry).poses
     shown = {"Ground truth": relative(truth)[:, :3, 3]}
-    for name in VARIANTS:
-        if not _why_not(run, name):
-            _sequence(run, name, seed, entry)
-            file = run.results / "trajectories" / f"{name}_seed{seed}_{sequence_of(entry)[0]}.txt"
-            shown[run.profile.variant(name).label] = aligned(read_trajectory(file).poses, truth)[:, :3, 3]
+    for name in scored_variants(run):
+        _sequence(run, name, seed, entry)
+        file = run.results / "trajectories" / f"{name}_seed{seed}_{sequence_of(entry)[0]}.txt"
+        shown[run.profile.variant(name).label] = aligned(read_trajectory(file).poses, truth)[:, :3, 3]
     return shown

@@ -118,12 +118,12 @@ COMPARISON = ["a", "b", "metric", *Comparison._fields, "n", "in_words"]
 """Columns of a table of comparisons."""
 
 
-def comparison_row(a: Sequence[np.ndarray], b: Sequence[np.ndarray], *, lower_is_better: bool) -> dict[str, Any]:
-    """Means, difference, intervals and words for per-image values (S, N) of two methods."""
+def comparison_row(a: Sequence[np.ndarray], b: Sequence[np.ndarray], *, lower_is_better: bool, block: int = 1) -> dict[str, Any]:
+    """Means, difference, intervals and words for per-image values (S, N) of two methods; for `block` see `paired_bootstrap`."""
     images = len(a[0])
     if images < 2:
         return {"n": images, "in_words": f"not compared: {images} {'image' if images == 1 else 'images'}"}
-    result = compare(a, b)
+    result = compare(a, b, block=block)
     return {**result._asdict(), "n": images, "in_words": in_words(result, lower_is_better)}
 
 

@@ -1,5 +1,6 @@
 """Does SA-Attention help where there is little texture, and only there?"""
 
+import hashlib
 import json
 from collections.abc import Sequence
 from functools import lru_cache, partial
@@ -8,12 +9,12 @@ from typing import Any
 
 import pandas as pd
 
-from dualdepth.data.label_maps import LabelMaps
+from dualdepth.data.label_maps import LabelMaps, label_path
 from dualdepth.errors import InputError
 from dualdepth.evaluation.depth import METRICS
 from dualdepth.evaluation.regions import LEAST, REGIONS, evaluate_regions
 from dualdepth.preparation import Sources
-from dualdepth.results import Run
+from dualdepth.results import Run, file_digest
 from dualdepth.scoring import Predictions, protocol, scored_frames, truth
 from dualdepth.tables.rows import COMPARISON, compare_trainings, comparison_row, said_seeds, training_row, with_paper
 
@@ -43,12 +44,24 @@ def labels_made_by(run: Run) -> str:
         raise InputError(f"{path}: names no model ({error}); delete it or make the maps again with data_scripts/export_labels.py") from None
 
 
+def labels_digest(run: Run) -> str | None:
+    """One digest of the scored frames' label maps, for stamps; None where there are none."""
+    root = Sources.load(run).labels_root
+    if root is None:
+        return None
+    digests = [(str(frame), file_digest(label_path(root, frame))) for frame in scored_frames(run)]
+    return hashlib.sha256(str(digests).encode()).hexdigest()
+
+
 @lru_cache(maxsize=64)
 def regions(run: Run, variant: str, seed: int) -> pd.DataFrame:
     """Per-image metrics of a training's regions; kept while the run is open, since several rows ask for them."""
-    labels = LabelMaps(Sources.load(run).labels_root, scored_frames(run))
+    root, frames = Sources.load(run).labels_root, scored_frames(run)
+    names = [str(label_path(root, frame)) for frame in frames]
     disparities = Predictions(run, variant, seed).disparities
-    return evaluate_regions(disparities, truth(run), labels, kind="disparity", **protocol(run.profile.evaluation))
+    return evaluate_regions(
+        disparities, truth(run), LabelMaps(root, frames), names=names, kind="disparity", **protocol(run.profile.evaluation)
+    )
 
 
 def score_region(run: Run, variant: str, seed: int, *, region: str) -> pd.DataFrame:

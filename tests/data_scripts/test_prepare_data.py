@@ -194,3 +194,30 @@ def test_a_sequence_or_drive_that_is_trained_on_is_scored_only_if_allowed(with_o
 def test_the_world_has_its_own_folders_and_takes_no_others(tmp_path):
     with pytest.raises(InputError, match="ODOMETRY_ROOT and LABELS_ROOT belong to sample"):
         prepare_data.find_data(Run("tiny", tmp_path), odometry_root="a", labels_root="b")
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("make3d_root", "MAKE3D_ROOT .* holds no folder Test134"),
+        ("odometry_root", "holds no sequences"),
+        ("labels_root", "LABELS_ROOT .*export_labels"),
+    ],
+)
+def test_a_folder_of_another_benchmark_is_checked_at_once(project, tmp_path, name, said):
+    run, kitti, _ = project
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match=said):
+        prepare_data.find_data(run, str(kitti), **{name: str(tmp_path / "empty")})
+
+
+def test_every_scored_frame_needs_its_label_map(project, tmp_path):
+    run, kitti, _ = project
+    labels = tmp_path / "labels" / TEST.split("/")[1]
+    labels.mkdir(parents=True)
+    (labels / "0000000000.png").touch()
+    prepare_data.find_data(run, str(kitti), labels_root=str(labels.parent))
+    with pytest.raises(InputError, match=r"0000000002\.png: no label map, nor have 0 other scored frames"):
+        prepare_data.prepare(run)
+    (labels / "0000000002.png").touch()
+    prepare_data.prepare(run)

@@ -134,3 +134,30 @@ def test_trainings_of_other_shapes_cannot_be_compared(a, b):
 def test_values_that_are_not_finite_cannot_be_compared():
     with pytest.raises(InputError, match="finite"):
         compare([[1, math.nan], [1, 2]], [[1, 2], [1, 2]])
+
+
+def test_runs_of_neighbours_widen_the_interval_of_values_that_depend_on_each_other():
+    rng = np.random.default_rng(0)
+    slow = np.repeat(rng.normal(size=40), 25)  # 40 independent values, each seen 25 times
+    zero = np.zeros(1000)
+    single, block = (paired_bootstrap(slow, zero, seed=0, block=b) for b in (1, 100))
+    expected = 2 * 1.96 * slow.std() / 40**0.5
+    assert single.high - single.low == pytest.approx(expected / 5, rel=0.1)
+    assert block.high - block.low == pytest.approx(expected, rel=0.3)
+    assert single.difference == block.difference == pytest.approx(slow.mean())
+
+
+def test_a_run_as_long_as_the_data_has_no_spread():
+    result = paired_bootstrap([1.0, 2.0, 6.0], [0.0, 0.0, 0.0], seed=0, block=9)
+    assert result == pytest.approx((3.0, 3.0, 3.0))
+
+
+def test_blocks_are_circular_runs():
+    """Against a slow version: draw starts, take runs, average."""
+    values = np.array([1.0, 5.0, 2.0, 8.0, 3.0, 9.0, 4.0])
+    rng, means = np.random.default_rng(1), []
+    for _ in range(20000):
+        starts = rng.integers(0, 7, 3)  # ⌈7 / 3⌉ runs of three
+        means.append(np.mean([values[(s + k) % 7] for s in starts for k in range(3)]))
+    result = paired_bootstrap(values, np.zeros(7), seed=0, block=3, samples=20000)
+    np.testing.assert_allclose(result[1:], np.quantile(means, [0.025, 0.975]), atol=0.1)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from dualdepth import paper
+from dualdepth import make3d_scoring, paper
 from dualdepth.data.depth_maps import save_ground_truth
 from dualdepth.errors import InputError
 from dualdepth.evaluation.make3d import CONVENTIONS, METRICS, ROWS, visible
@@ -63,10 +63,11 @@ def run(make_run, cards, tmp_path, monkeypatch):
         truths = [grid(int(path.stem[4:])) for path in paths]
         return np.stack([0.7 / ((truth if whole else truth[ROWS]) * wrong) for truth in truths])  # of any scale
 
-    monkeypatch.setattr(make3d, "code_digest", lambda *steps: "this")  # parses the package at every call
-    monkeypatch.setattr(make3d, "load_depth_net", lambda path: path.read_text())
+    monkeypatch.setattr(make3d_scoring, "code_digest", lambda *steps: "this")  # parses the package at every call
+    for module in (make3d, make3d_scoring):
+        monkeypatch.setattr(module, "load_depth_net", lambda path: path.read_text())
     monkeypatch.setattr(make3d, "untrained_net", lambda run, seed: f"untrained {seed}")
-    monkeypatch.setattr(make3d, "predict_disparities", predict)
+    monkeypatch.setattr(make3d_scoring, "predict_disparities", predict)
     return run
 
 
@@ -112,6 +113,20 @@ def test_a_truncated_photo_is_told_in_the_notes(run, tmp_path):
     assert notes.str.endswith("not fine-tuned; img-1.jpg is truncated").all()
 
 
+def test_two_truncated_photos_are_one_too_many(run, tmp_path):
+    for name in ("img-0.jpg", "img-1.jpg"):
+        path = tmp_path / "photos" / "Test134" / name
+        path.write_bytes(path.read_bytes()[:-2])
+    with pytest.raises(InputError, match=r"Test134: img-0\.jpg, img-1\.jpg are truncated; one photo is published so"):
+        make3d_table(run, [0])
+
+
+def test_fewer_photos_than_are_published_are_told_of_real_data(run):
+    assert not make3d_table(run, [0])["note"].str.contains("of 134").any()
+    run.profile = run.profile.model_copy(update={"world": None})
+    assert make3d_table(run, [0]).dropna(subset="variant")["note"].str.endswith(f"{PHOTOS} of 134 photos").all()
+
+
 def test_without_make3d_root_the_rows_say_how_to_get_it(run, tmp_path):
     Sources(tmp_path, tmp_path).save(run)
     measured = make3d_table(run, [0]).query("source == 'measured'")
@@ -152,7 +167,7 @@ def test_what_was_scored_is_kept_and_read_again(run):
     assert run.predicted[1:] == [("lr 0", "whole", PHOTOS)]
 
 
-@pytest.mark.parametrize("change", ["weights", "photo", "grid", "code", "protocol", "damaged stamp", "no stamp"])
+@pytest.mark.parametrize("change", ["weights", "photo", "grid", "code", "damaged stamp", "no stamp"])
 def test_whatever_shapes_the_scores_makes_them_anew(run, tmp_path, monkeypatch, change):
     old, stamp = score_make3d(run, "lr", 0, convention="band"), run.training("lr", 0) / "make3d_band.json"
     if change == "weights":
@@ -165,10 +180,7 @@ def test_whatever_shapes_the_scores_makes_them_anew(run, tmp_path, monkeypatch, 
         points[..., 3] = grid(77)
         savemat(tmp_path / "photos" / "Gridlaserdata" / "depth_sph_corr-0.mat", {"Position3DGrid": points})
     elif change == "code":
-        monkeypatch.setattr(make3d, "code_digest", lambda *steps: "another")
-    elif change == "protocol":
-        digest = make3d.file_digest
-        monkeypatch.setattr(make3d, "file_digest", lambda path: "another" if path.suffix == ".py" else digest(path))
+        monkeypatch.setattr(make3d_scoring, "code_digest", lambda *steps: "another")
     elif change == "damaged stamp":
         stamp.write_text("{")
     else:
