@@ -21,7 +21,7 @@ def code_cells(notebook):
 
 
 def test_every_notebook_stands_in_the_snakefile_and_the_other_way_round():
-    order = set(re.findall(r"dualdepth notebook (\S+)", (project_root() / "Snakefile").read_text(encoding="utf-8")))
+    order = set(re.findall(r'["\s](\d\d_[a-z0-9_]+)["\s]', (project_root() / "Snakefile").read_text(encoding="utf-8")))
     assert order == {path.stem for path in NOTEBOOKS}
 
 
