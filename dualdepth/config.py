@@ -55,6 +55,8 @@ class Profile(Settings):
                 raise ValueError(f"train: {name} starts from {start}, which is no variant of stage 1")
             if start is not None and self.variant(start).trains_on != self.variant(name).trains_on:
                 raise ValueError(f"train: {name} starts from {start}, which is trained on {self.variant(start).trains_on} frames: a leak")
+        if "lr" not in self.train:
+            raise ValueError("train: does not name lr, which the tables compare with; name it too")
         return self
 
     def variant(self, name: str) -> Variant:

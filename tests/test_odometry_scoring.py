@@ -115,7 +115,7 @@ def run(tmp_path, model):
                 "about": "a test",
                 "data": {"source": "kitti", "train_drives": ["d"], "odometry_train": ["00"], "odometry_test": ["09"], "hr_size": SIZE},
                 "training": {"precision": "float32"},
-                "train": {"odometry_lr": None},
+                "train": {"lr": None, "odometry_lr": None},
             }
         )
     )
