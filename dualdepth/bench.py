@@ -26,6 +26,7 @@ from dualdepth.data.loading import TripletDataset
 from dualdepth.data.triplets import Triplet
 from dualdepth.evaluation.cost import latency
 from dualdepth.hr_stage import HRStage
+from dualdepth.memory import keep_freed_memory
 from dualdepth.networks.architecture import Architecture
 from dualdepth.networks.pose_net import PoseNet
 from dualdepth.results import device_name
@@ -73,6 +74,7 @@ class StepTimer:
     """Times the parts of a training step of a stage: networks, losses, backward, optimiser."""
 
     def __init__(self, name: str, profile: Profile, device: torch.device) -> None:
+        keep_freed_memory()  # as a training does
         torch.manual_seed(0)
         self.stage = make_stage(name, profile).to(device)
         if profile.training.channels_last:

@@ -11,6 +11,7 @@ from dualdepth.config import Profile
 from dualdepth.data.odometry import drives_of, load_odometry_triplets
 from dualdepth.data.triplets import Triplet, load_triplets, read_targets
 from dualdepth.errors import InputError
+from dualdepth.memory import keep_freed_memory
 from dualdepth.preparation import Sources
 from dualdepth.results import Run
 from dualdepth.sections import Variant
@@ -24,6 +25,7 @@ def train_variant(run: Run, name: str, seed: int) -> Path:
         InputError: an unknown variant; prepared data or stage 1's weights are missing, or those are of another network; too few
             triplets; a bad frame.
     """
+    keep_freed_memory()
     variant, profile = run.profile.variant(name), run.profile.of_variant(name)
     triplets, drives = training_data(run, name)
     start = start_weights(run, variant, seed)

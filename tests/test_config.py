@@ -217,7 +217,10 @@ variants:
         ("train: {lr: {training.lr.epochs: none}}\n", "variant lr: training.lr.epochs"),
         ("train: {}\n", "train"),
         ("train: {resnet18: }\n", "train: does not name lr"),
-        ("train: {lr: , odometry_lr: , mine: }\nvariants: {mine: {label: a, about: x, network: dual, starts_from: odometry_lr}}\n", "a leak"),
+        (
+            "train: {lr: , odometry_lr: , mine: }\nvariants: {mine: {label: a, about: x, network: dual, starts_from: odometry_lr}}\n",
+            "a leak",
+        ),
         ("variants: {mine: {label: a, about: x, network: dual}}\n", "network dual needs a variant in `starts_from`"),
         ("variants: {mine: {label: a, about: x, network: single, starts_from: lr}}\n", "network single has no variant in `starts_from`"),
         (
