@@ -19,8 +19,6 @@ from dualdepth.results import Run, code_digest, file_digest
 from dualdepth.scoring import device, is_current
 
 NOT_RUN = "not run: no MAKE3D_ROOT; get it with python data_scripts/download_make3d.py --root DIR"
-PUBLISHED = 134
-"""Photos of the test set."""
 
 
 class Photos(NamedTuple):

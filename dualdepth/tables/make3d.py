@@ -11,10 +11,11 @@ import pandas as pd
 from dualdepth.data.augmentation import resize
 from dualdepth.data.depth_maps import load_ground_truth
 from dualdepth.data.make3d import read_photo
+from dualdepth.data.sources import MAKE3D_PHOTOS
 from dualdepth.evaluation.baselines import GRID, depth_sums, mean_depth
 from dualdepth.evaluation.depth import resized
 from dualdepth.evaluation.make3d import CONVENTIONS, FARTHEST, METRICS, ROWS, Convention, evaluate_make3d, visible
-from dualdepth.make3d_scoring import NOT_RUN, PUBLISHED, Photos, load_photos, predict_photos, score_make3d
+from dualdepth.make3d_scoring import NOT_RUN, Photos, load_photos, predict_photos, score_make3d
 from dualdepth.predict import load_depth_net
 from dualdepth.results import Run
 from dualdepth.scoring import untrained_net
@@ -89,7 +90,7 @@ def _row(method: str, convention: str, photos: Photos | None) -> dict[str, Any]:
 
 def _said(run: Run, photos: Photos, note: str) -> str:
     """The note, which photo was read without its end, and whether some of the published ones are missing."""
-    missing = [f"{len(photos.pairs)} of {PUBLISHED} photos"] if not run.profile.world and len(photos.pairs) != PUBLISHED else []
+    missing = [f"{len(photos.pairs)} of {MAKE3D_PHOTOS} photos"] if not run.profile.world and len(photos.pairs) != MAKE3D_PHOTOS else []
     return "; ".join([note, *(f"{name} is truncated" for name in photos.truncated), *missing])
 
 
