@@ -3,10 +3,13 @@
 import contextlib
 import json
 import os
+import re
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+
+from dualdepth.errors import InputError
 
 
 @contextlib.contextmanager
@@ -24,8 +27,44 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         with open(partial, "rb+") as file:
             os.fsync(file.fileno())
         os.replace(partial, path)
+        _flush_folder(path.parent)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def _flush_folder(folder: Path) -> None:
+    """Make a rename in the folder outlive a power cut."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+_PARTIAL = re.compile(r"\..+\.[0-9a-f]{8}\.part(\.\w+)?")
+
+
+def remove_leftovers(folder: str | Path) -> int:
+    """Remove the temporary files that killed writers left in a folder and below; for who holds its lock. Returns how many there were."""
+    found = [path for path in Path(folder).rglob(".*.part*") if _PARTIAL.fullmatch(path.name)]
+    for path in found:
+        path.unlink(missing_ok=True)
+    return len(found)
+
+
+def check_writable(folder: str | Path) -> None:
+    """Make sure that files can be written into `folder`, which is made if it is not there.
+
+    Raises:
+        InputError: they cannot, and why.
+    """
+    probe = Path(folder) / "writable"
+    try:
+        with atomic_path(probe) as partial:
+            partial.touch()
+        probe.unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: nothing can be written there ({error.strerror or error}); free space or change its owner") from None
 
 
 def write_text(path: str | Path, text: str) -> None:

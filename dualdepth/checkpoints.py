@@ -3,6 +3,9 @@
 import hashlib
 import json
 import pickle
+import time
+import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,44 +17,129 @@ from torch import nn
 from dualdepth.atomic import atomic_path, write_json
 from dualdepth.errors import InputError
 
-
-def save_checkpoint(path: str | Path, *, recipe: str, step: int, model: nn.Module, optimizer: torch.optim.Optimizer) -> None:
-    """Write what a resume needs, atomically: the file before stays until the new one is whole and reads back."""
-    state = {"recipe": recipe, "step": step, "model": model.state_dict(), "optimizer": optimizer.state_dict()}
-    with atomic_path(path) as partial:
-        torch.save(state, partial)
-        torch.load(partial, map_location="cpu", weights_only=True)
+KEYS = {"recipe", "step", "model", "optimizer"}
 
 
-def load_checkpoint(path: str | Path) -> dict[str, Any] | None:
-    """Read a checkpoint: `recipe`, `step`, `model`, `optimizer`; None where there is no file.
+def checkpoint_path(folder: str | Path, step: int) -> Path:
+    """File of a checkpoint."""
+    return Path(folder) / f"checkpoint_{step:08d}.pt"
+
+
+def checkpoint_paths(folder: str | Path) -> list[Path]:
+    """A folder's checkpoints, the newest first."""
+    return sorted(Path(folder).glob("checkpoint_*.pt"), reverse=True)
+
+
+def save_checkpoint(
+    folder: str | Path, *, recipe: str, step: int, model: nn.Module, optimizer: torch.optim.Optimizer, keep: int = 2
+) -> Path:
+    """Write what a resume needs, atomically: written, flushed, read back, renamed. Then all but the newest `keep` are removed.
 
     Raises:
-        InputError: the file is truncated, foreign, or holds anything but tensors and plain values (its code is not run).
+        OSError: it could not be written; the checkpoints before it are untouched.
+    """
+    path = checkpoint_path(folder, step)
+    state = {"recipe": recipe, "step": step, "model": model.state_dict(), "optimizer": optimizer.state_dict()}
+    with atomic_path(path) as partial:
+        try:
+            torch.save(state, partial)
+            _read(partial)
+        except (RuntimeError, zipfile.BadZipFile) as error:  # how torch tells of a full disk
+            raise OSError(f"{path}: {str(error).splitlines()[0]}") from error
+    for old in checkpoint_paths(folder)[keep:]:
+        old.unlink(missing_ok=True)
+    return path
+
+
+def _read(path: Path) -> Any:
+    """What `torch.save` wrote. It gives each tensor a checksum, which `torch.load` does not look at, but `zipfile` does."""
+    with zipfile.ZipFile(path) as archive:
+        if damaged := archive.testzip():
+            raise zipfile.BadZipFile(f"{damaged} is damaged")
+    return torch.load(path, map_location="cpu", weights_only=True)
+
+
+def load_checkpoint(path: str | Path) -> dict[str, Any]:
+    """Read a checkpoint: `recipe`, `step`, `model`, `optimizer`.
+
+    Raises:
+        InputError: the file is missing, truncated, foreign, or holds anything but tensors and plain values (its code is not run).
     """
     path = Path(path)
-    if not path.exists():
-        return None
     try:
-        state = torch.load(path, map_location="cpu", weights_only=True)
-        if {"recipe", "step", "model", "optimizer"} <= set(state):
+        state = _read(path)
+        if set(state) >= KEYS:
             return state
         reason = "keys are missing"
-    except (OSError, RuntimeError, EOFError, LookupError, ValueError, TypeError, pickle.UnpicklingError) as error:
+    except (OSError, RuntimeError, EOFError, LookupError, ValueError, TypeError, pickle.UnpicklingError, zipfile.BadZipFile) as error:
         reason = (str(error) or type(error).__name__).splitlines()[0]
     raise InputError(f"{path}: not a checkpoint of this project ({reason}); delete it to train from the start")
+
+
+def last_checkpoint(folder: str | Path, say: Callable[[str], object] = print) -> dict[str, Any] | None:
+    """The newest checkpoint of a folder that can be read; None where there is none. `say` is told of damaged ones.
+
+    Raises:
+        InputError: there are some, and none can be read.
+    """
+    damage = None
+    for path in checkpoint_paths(folder):
+        try:
+            return load_checkpoint(path)
+        except InputError as error:
+            say(f"warning: {error}; trying the one before")
+            damage = error
+    if damage:
+        raise damage
+    return None
+
+
+class Checkpointer:
+    """When a training's checkpoints are due, and what becomes of one that cannot be written: a warning, since the training is worth more.
+
+    Args:
+        folder: of the training.
+        steps: between checkpoints.
+        minutes: between checkpoints, where steps are slow.
+        keep: how many are kept.
+        say: is told of one that could not be written.
+    """
+
+    def __init__(self, folder: Path, steps: int, minutes: float, keep: int, say: Callable[[str], object]) -> None:
+        self.folder, self.steps, self.minutes, self.keep, self.say = folder, steps, minutes, keep, say
+        self.last = time.monotonic()
+
+    def due(self, step: int) -> bool:
+        """Whether it is time."""
+        return step % self.steps == 0 or time.monotonic() - self.last > 60 * self.minutes
+
+    def save(self, step: int, recipe: str, model: nn.Module, optimizer: torch.optim.Optimizer) -> None:
+        """Write one; if that fails, say so, and the next is tried in its time."""
+        self.last = time.monotonic()
+        try:
+            save_checkpoint(self.folder, recipe=recipe, step=step, model=model, optimizer=optimizer, keep=self.keep)
+        except OSError as error:
+            before = checkpoint_paths(self.folder)
+            kept = f"the last good one is {before[0].name}" if before else "there is none yet"
+            self.say(f"warning: checkpoint of step {step} was not written ({error}); {kept}, training goes on")
 
 
 def save_weights(path: str | Path, model: nn.Module, card: dict[str, Any]) -> None:
     """Write weights as safetensors and beside them `<name>.json`, the card, with the weights' sha256 in it.
 
     The card goes first, so that weights are never there without one.
+
+    Raises:
+        InputError: they could not be written.
     """
     path = Path(path)
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in model.state_dict().items()}
-    with atomic_path(path) as partial:
-        save_file(tensors, partial)
-        write_json(path.with_suffix(".json"), card | {"sha256": hashlib.sha256(partial.read_bytes()).hexdigest()})
+    try:
+        with atomic_path(path) as partial:
+            save_file(tensors, partial)
+            write_json(path.with_suffix(".json"), card | {"sha256": hashlib.sha256(partial.read_bytes()).hexdigest()})
+    except (OSError, SafetensorError) as error:
+        raise InputError(f"{path}: could not be written ({error}); free space, then the same command goes on from the checkpoint") from None
 
 
 def load_card(path: str | Path) -> dict[str, Any]:

@@ -83,7 +83,11 @@ def reproject(disparity: Tensor, transform: Tensor, intrinsics: Tensor) -> tuple
 
 
 def sample(image: Tensor, pixel: Tensor) -> Tensor:
-    """Bilinear samples (B, C, H, W) of an image (B, C, h, w) at pixel coordinates (B, H, W, 2); outside, the border's value."""
+    """Bilinear samples (B, C, H, W) of an image (B, C, h, w) at pixel coordinates (B, H, W, 2); outside, the border's value.
+
+    At a coordinate that is not a number it is pixel 0 that is taken: torch's backward on the CPU would read memory that is not its own.
+    """
+    pixel = torch.where(pixel.isnan(), 0.0, pixel)
     size = torch.tensor([image.shape[-1], image.shape[-2]], device=image.device, dtype=torch.float32)
     normalised = (2.0 * pixel + 1.0) / size - 1.0
     return F.grid_sample(image, normalised, mode="bilinear", padding_mode="border", align_corners=False)

@@ -31,7 +31,7 @@ CODE = {
     ),
     "train_lr": (
         *("networks.encoders", "networks.decoder", "networks.lr_net", "networks.pose_net", "geometry", "losses", "stages", "training"),
-        "building",
+        *("building", "data.bad_frames"),
         *("data.augmentation", "data.loading", "data.kitti", "data.triplets"),
     ),
     "train_hr": ("networks.hr_net", "networks.attention", "networks.dual_net", "networks.architecture", "hr_stage"),
@@ -194,6 +194,7 @@ _SHAPING = (
     "training.precision",
     "training.channels_last",
     "training.accumulate",
+    "training.on_bad_frame",
 )
 """Settings of `Training` that shape the weights, beside the stage's own."""
 

@@ -177,8 +177,16 @@ class Training(Settings):
     """Loader processes."""
     accumulate: int = Field(1, ge=1)
     """Parts that a batch is cut into, for GPUs that cannot hold it whole; batch norm then sees the parts."""
+    on_bad_frame: Literal["stop", "skip"] = "stop"
+    """What a frame that cannot be read does to a training: ends it, or is left out and its triplet's place taken by the next one."""
+    max_bad_frames: int = Field(10, ge=0)
+    """How many triplets may be skipped before the training stops all the same."""
     checkpoint_every: int = Field(200, ge=1)
     """Steps between resumable checkpoints."""
+    checkpoint_minutes: float = Field(10.0, gt=0)
+    """Minutes after which one is due, however few the steps."""
+    keep_checkpoints: int = Field(2, ge=1)
+    """How many are kept: if the newest is damaged, the one before is used."""
     log_every: int = Field(20, ge=1)
     """Steps between rows of the log."""
     panel_every: int = Field(500, ge=1)

@@ -8,7 +8,17 @@ import pytest
 import torch
 from torch import nn
 
-from dualdepth.checkpoints import load_card, load_checkpoint, load_weights, save_checkpoint, save_weights
+from dualdepth import checkpoints
+from dualdepth.checkpoints import (
+    Checkpointer,
+    checkpoint_paths,
+    last_checkpoint,
+    load_card,
+    load_checkpoint,
+    load_weights,
+    save_checkpoint,
+    save_weights,
+)
 from dualdepth.errors import InputError
 
 
@@ -128,32 +138,82 @@ def test_weights_in_a_pickle_are_refused_and_their_code_is_not_run(tmp_path):
 
 def test_a_checkpoint_makes_the_round_trip(tmp_path):
     net, optimizer = trained_net()
-    save_checkpoint(tmp_path / "checkpoint.pt", recipe="abc", step=7, model=net, optimizer=optimizer)
-    state = load_checkpoint(tmp_path / "checkpoint.pt")
+    path = save_checkpoint(tmp_path, recipe="abc", step=7, model=net, optimizer=optimizer)
+    state = load_checkpoint(path)
     assert (state["recipe"], state["step"]) == ("abc", 7)
     assert equal(state["model"], net.state_dict())
     moments = optimizer.state_dict()["state"][0]
     assert torch.equal(state["optimizer"]["state"][0]["exp_avg_sq"], moments["exp_avg_sq"])
-    assert [p.name for p in tmp_path.iterdir()] == ["checkpoint.pt"]
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_there_may_be_no_checkpoint(tmp_path):
-    assert load_checkpoint(tmp_path / "checkpoint.pt") is None
+    assert last_checkpoint(tmp_path) is None
+    assert last_checkpoint(tmp_path / "nowhere") is None
 
 
-def test_a_failed_save_leaves_the_checkpoint_before_it(tmp_path, monkeypatch):
+def test_the_newest_are_kept(tmp_path):
     net, optimizer = trained_net()
-    save_checkpoint(tmp_path / "checkpoint.pt", recipe="abc", step=7, model=net, optimizer=optimizer)
+    for step in (9, 10, 11, 100):
+        save_checkpoint(tmp_path, recipe="abc", step=step, model=net, optimizer=optimizer, keep=3)
+    assert [path.name for path in checkpoint_paths(tmp_path)] == [f"checkpoint_{step:08d}.pt" for step in (100, 11, 10)]
+    assert last_checkpoint(tmp_path)["step"] == 100
+
+
+@pytest.mark.parametrize("share", [0, 0.25, 0.5, 0.75, 0.999])
+def test_a_damaged_checkpoint_is_told_and_the_one_before_it_is_used(tmp_path, share):
+    net, optimizer = trained_net()
+    paths = [save_checkpoint(tmp_path, recipe="abc", step=step, model=net, optimizer=optimizer) for step in (7, 8)]
+    paths[1].write_bytes(paths[1].read_bytes()[: int(share * paths[1].stat().st_size)])
+    told = []
+    assert last_checkpoint(tmp_path, told.append)["step"] == 7
+    assert len(told) == 1 and "checkpoint_00000008.pt" in told[0]
+    paths[0].write_bytes(b"")
+    with pytest.raises(InputError, match=r"checkpoint_00000007\.pt: not a checkpoint"):
+        last_checkpoint(tmp_path, told.append)
+
+
+def test_one_changed_byte_of_a_tensor_is_noticed(tmp_path):
+    net, optimizer = trained_net()
+    path = save_checkpoint(tmp_path, recipe="abc", step=7, model=net, optimizer=optimizer)
+    content = bytearray(path.read_bytes())
+    place = content.find(next(net.parameters()).detach().numpy().tobytes())
+    assert place > 0
+    content[place + 1] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(InputError, match="not a checkpoint of this project"):
+        load_checkpoint(path)
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), RuntimeError("PytorchStreamWriter failed writing file")])
+def test_a_failed_save_leaves_the_checkpoint_before_it(tmp_path, monkeypatch, error):
+    net, optimizer = trained_net()
+    before = save_checkpoint(tmp_path, recipe="abc", step=7, model=net, optimizer=optimizer)
 
     def full_disk(state, path):
         path.write_bytes(b"half")
-        raise OSError(28, "No space left on device")
+        raise error
 
     monkeypatch.setattr(torch, "save", full_disk)
-    with pytest.raises(OSError, match="No space left"):
-        save_checkpoint(tmp_path / "checkpoint.pt", recipe="abc", step=8, model=net, optimizer=optimizer)
-    assert load_checkpoint(tmp_path / "checkpoint.pt")["step"] == 7
-    assert [p.name for p in tmp_path.iterdir()] == ["checkpoint.pt"]
+    with pytest.raises(OSError, match=r"No space left|failed writing"):
+        save_checkpoint(tmp_path, recipe="abc", step=8, model=net, optimizer=optimizer)
+    told = []
+    Checkpointer(tmp_path, 1, 1, 1, told.append).save(8, "abc", net, optimizer)
+    assert len(told) == 1 and "step 8 was not written" in told[0] and before.name in told[0]
+    assert last_checkpoint(tmp_path)["step"] == 7
+    assert list(tmp_path.iterdir()) == [before]
+
+
+def test_a_checkpoint_is_due_by_steps_and_by_time(tmp_path, monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr(checkpoints.time, "monotonic", lambda: now[0])
+    net, optimizer = trained_net()
+    checkpointer = Checkpointer(tmp_path, 10, 2.0, 1, print)
+    assert [step for step in range(1, 31) if checkpointer.due(step)] == [10, 20, 30]
+    now[0] += 121
+    assert checkpointer.due(3)
+    checkpointer.save(3, "abc", net, optimizer)
+    assert not checkpointer.due(4)
 
 
 def write_foreign(kind, path, mark):

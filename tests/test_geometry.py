@@ -246,3 +246,16 @@ def test_gradients_stay_finite_where_points_pass_through_the_camera_plane():
     sample(torch.rand(1, 3, 6, 8), pixel).sum().backward()
     assert disparity.grad.isfinite().all()
     assert numbers.grad.isfinite().all()
+
+
+@pytest.mark.parametrize("bad", [torch.nan, torch.inf, -torch.inf, 1e30])
+def test_coordinates_that_are_no_numbers_are_sampled_and_derived_without_harm(bad):
+    """torch's own backward ends the process at NaN, which a pose that is not finite makes."""
+    image = torch.rand(2, 3, 64, 64, requires_grad=True)
+    pixel = torch.full((2, 64, 64, 2), 5.0)
+    pixel[1] = bad
+    pixel.requires_grad_()
+    sample(image, pixel).sum().backward()
+    assert pixel.grad.isfinite().all() and image.grad.isfinite().all()
+    pixel, valid = reproject(disparities(8, 12), pose(bad, 0, 0, 0, 0, 0), camera(8, 12))
+    assert not valid.any() or abs(bad) == 1e30

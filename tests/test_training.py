@@ -11,10 +11,13 @@ from accelerate.state import AcceleratorState
 from safetensors.torch import load_file
 from small_kitti import DRIVE
 
-from dualdepth.checkpoints import load_checkpoint
+from dualdepth.checkpoints import checkpoint_paths, last_checkpoint, load_card
 from dualdepth.config import load_profile
+from dualdepth.data.bad_frames import BadFrames
+from dualdepth.data.loading import TripletDataset
 from dualdepth.data.triplets import drive_triplets, load_triplets, write_targets
 from dualdepth.errors import InputError
+from dualdepth.faults import load_failure
 from dualdepth.stages import LRStage
 from dualdepth.training import train
 from dualdepth.training_log import read_log
@@ -142,7 +145,7 @@ def test_a_run_that_was_told_to_stop_goes_on_to_the_same_weights(run, tmp_path, 
     whole = run("whole")
     with pytest.raises(SystemExit, match=f"stopped at step {number} of {STEPS}"):
         run("cut", make_model=at_forward(number, kill_softly))
-    assert load_checkpoint(tmp_path / "cut/checkpoint.pt")["step"] == number
+    assert last_checkpoint(tmp_path / "cut")["step"] == number
     assert equal(run("cut"), whole)
 
 
@@ -150,7 +153,7 @@ def test_a_killed_run_goes_on_from_its_last_checkpoint_to_the_same_weights_and_l
     whole = run("whole")
     with pytest.raises(KeyboardInterrupt):
         run("cut", make_model=at_forward(4, kill))
-    assert load_checkpoint(tmp_path / "cut/checkpoint.pt")["step"] == 2
+    assert last_checkpoint(tmp_path / "cut")["step"] == 2
     assert list(read_log(tmp_path / "cut/log.csv")["step"]) == [1, 2, 3]
     assert equal(run("cut"), whole)
     logs = [read_log(tmp_path / name / "log.csv").drop(columns="steps_per_second") for name in ("cut", "whole")]
@@ -180,7 +183,7 @@ def test_a_finished_run_leaves_weights_with_their_card_a_log_and_a_picture(run, 
         "steps": STEPS,
         "resumed_at": 0,
     }
-    assert not (folder / "checkpoint.pt").exists()
+    assert not checkpoint_paths(folder)
     assert (folder / f"panels/step_{STEPS:07d}.png").stat().st_size > 1000
     assert list((folder / "tensorboard").iterdir())
     log = read_log(folder / "log.csv")
@@ -197,7 +200,17 @@ def test_a_loss_that_is_not_finite_stops_with_the_names_of_the_frames(run, numbe
     with pytest.raises(InputError, match=rf"run: loss is nan at step {number}, frames {DRIVE}/image_02/000000000[123]") as error:
         run(make_model=at_forward(number, break_loss))
     assert "\n" not in str(error.value)
+    assert str(error.value).endswith(f"dualdepth replay {tmp_path / 'run/failure.pt'}")
+    assert load_failure(tmp_path / "run/failure.pt")["step"] == number
     assert not (tmp_path / "run/model.safetensors").exists()
+
+
+def test_a_pose_that_is_not_finite_stops_though_the_loss_is_blind_to_it(run):
+    def break_pose(output):
+        return output._replace(poses=output.poses * torch.nan)
+
+    with pytest.raises(InputError, match="pose is nan at step 2"):
+        run(make_model=at_forward(2, break_pose))
 
 
 def test_weights_that_are_not_finite_do_not_replace_the_last_good_checkpoint(run, tmp_path):
@@ -210,7 +223,7 @@ def test_weights_that_are_not_finite_do_not_replace_the_last_good_checkpoint(run
 
     with pytest.raises(InputError, match="gradient is nan at step 3"):
         run(make_model=at_forward(3, break_gradient))
-    saved = load_checkpoint(tmp_path / "run/checkpoint.pt")
+    saved = last_checkpoint(tmp_path / "run")
     assert all(v.isfinite().all() for v in saved["model"].values())
     assert saved["step"] == 2
 
@@ -222,6 +235,79 @@ def test_a_bad_image_stops_the_training_in_one_line_that_names_it(run, profile_o
     with pytest.raises(InputError, match=r"^\S*0000000004\.png: truncated \(500 bytes\); copy or download it again$"):
         run(profile=profile_of(training={"workers": workers}))
     assert not (tmp_path / "run/model.safetensors").exists()
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_a_bad_image_can_be_skipped_and_is_listed_on_the_card(run, profile_of, kitti_root, workers, tmp_path):
+    path = kitti_root / DRIVE / "image_02/data/0000000004.png"
+    path.write_bytes(path.read_bytes()[:500])
+    skip = {"on_bad_frame": "skip", "workers": workers}
+    weights = run(profile=profile_of(training=skip))
+    skipped = load_card(tmp_path / "run/model.safetensors")["skipped"]
+    assert list(skipped) == [f"{DRIVE}/image_02/0000000003"]
+    assert "0000000004.png: truncated" in next(iter(skipped.values()))
+    # a training that is stopped and goes on skips the same
+    with pytest.raises(SystemExit):
+        run("cut", make_model=at_forward(3, kill_softly), profile=profile_of(training=skip))
+    assert equal(run("cut", profile=profile_of(training=skip)), weights)
+    assert load_card(tmp_path / "cut/model.safetensors")["skipped"] == skipped
+    with pytest.raises(InputError, match=r"0000000004\.png: truncated.*0 triplets were skipped before it, max_bad_frames is 0"):
+        run("strict", profile=profile_of(training=skip | {"max_bad_frames": 0}))
+
+
+def test_a_skipped_triplet_gives_its_place_to_the_next(profile_of, triplets, kitti_root, tmp_path):
+    path = kitti_root / DRIVE / "image_02/data/0000000004.png"
+    path.unlink()
+    bad_frames = BadFrames(tmp_path / "bad.jsonl", 5)
+    dataset = TripletDataset(triplets, (192, 192), profile_of().training.augmentation, 0, bad_frames)
+    taken, own = dataset[(3, 2)], dataset[(3, 0)]
+    assert taken["name"] == own["name"] == triplets[0].name
+    assert torch.equal(taken["images"], own["images"])
+    assert list(bad_frames.reasons()) == [triplets[2].name]
+    for image in path.parent.iterdir():
+        image.unlink()
+    with pytest.raises(InputError, match="none of 3 triplets can be read"):
+        dataset[(0, 0)]
+
+
+def test_a_checkpoint_or_log_that_cannot_be_written_is_a_warning(run, tmp_path, monkeypatch, capsys):
+    whole = run("whole")
+
+    def refuse(path, text):
+        raise OSError(28, "No space left on device")
+
+    def full(state, path):
+        raise RuntimeError("PytorchStreamWriter failed writing file data/3")
+
+    monkeypatch.setattr("dualdepth.training_log.write_text", refuse)
+    monkeypatch.setattr(torch, "save", full)
+    assert equal(run("full"), whole)
+    said = capsys.readouterr().out
+    assert "warning: checkpoint of step 2 was not written" in said and "there is none yet" in said
+    assert "warning: the log was not written ([Errno 28] No space left on device)" in said
+
+
+def test_weights_that_cannot_be_written_are_an_error_and_the_checkpoint_stays(run, tmp_path, monkeypatch):
+    whole = run("whole")
+
+    def full(tensors, path):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("dualdepth.checkpoints.save_file", full)
+        with pytest.raises(InputError, match=r"full/model\.safetensors: could not be written \(.*No space left"):
+            run("full")
+    assert last_checkpoint(tmp_path / "full")["step"] == STEPS
+    assert not list((tmp_path / "full").glob(".*part*"))
+    assert equal(run("full"), whole)
+
+
+def test_leftovers_of_a_killed_writer_are_removed(run, profile_of, tmp_path):
+    leftover = tmp_path / "run/.checkpoint_00000004.0123abcd.part.pt"
+    leftover.parent.mkdir()
+    leftover.write_bytes(b"half")
+    run(profile=profile_of(stage={"max_steps": 1}))
+    assert not leftover.exists()
 
 
 def test_too_few_triplets_are_an_error(run, profile_of):

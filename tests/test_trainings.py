@@ -14,7 +14,7 @@ from small_kitti import DRIVE, write_calibration, write_drive, write_sequence
 
 from dualdepth import trainings
 from dualdepth.building import make_stage
-from dualdepth.checkpoints import load_card, load_checkpoint
+from dualdepth.checkpoints import last_checkpoint, load_card
 from dualdepth.data.odometry import write_odometry_index
 from dualdepth.data.triplets import drive_triplets
 from dualdepth.errors import InputError
@@ -282,7 +282,7 @@ def test_a_dual_training_that_was_stopped_and_killed_goes_on_to_the_same_weights
     for error, step in ((SystemExit, 1), (KeyboardInterrupt, 2)):
         with pytest.raises(error):
             train_variant(run, "dual", 0)
-        assert load_checkpoint(run.training("dual", 0) / "checkpoint.pt")["step"] == step
+        assert last_checkpoint(run.training("dual", 0))["step"] == step
         assert not run.weights("dual", 0).exists()
     weights = train_variant(run, "dual", 0)
     assert len(calls) == 4

@@ -11,6 +11,7 @@ from torch.nn import functional as F
 from torch.utils.data import DataLoader, Dataset, Sampler
 
 from dualdepth.data.augmentation import augment
+from dualdepth.data.bad_frames import BadFrames
 from dualdepth.data.kitti import read_image
 from dualdepth.data.triplets import Triplet
 from dualdepth.errors import InputError
@@ -21,16 +22,36 @@ class TripletDataset(Dataset):
     """Augmented triplets, asked for by (epoch, index).
 
     Gives `images` (3, 3, H, W) uint8 (target, previous, next; RGB), `intrinsics` (3, 3) float32 at that size and `name`.
+    With `bad_frames`, the place of a triplet that cannot be read is taken by the next one that can.
     """
 
-    def __init__(self, triplets: Sequence[Triplet], hr_size: tuple[int, int], augmentation: Augmentation, seed: int) -> None:
+    def __init__(
+        self,
+        triplets: Sequence[Triplet],
+        hr_size: tuple[int, int],
+        augmentation: Augmentation,
+        seed: int,
+        bad_frames: BadFrames | None = None,
+    ) -> None:
         self.triplets, self.hr_size, self.augmentation, self.seed = triplets, hr_size, augmentation, seed
+        self.bad_frames = bad_frames
 
     def __len__(self) -> int:
         return len(self.triplets)
 
     def __getitem__(self, key: tuple[int, int]) -> dict[str, Any]:
         epoch, index = key
+        for place in range(len(self)):
+            chosen = (index + place) % len(self)
+            try:
+                return self._sample(epoch, chosen)
+            except InputError as error:
+                if self.bad_frames is None:
+                    raise
+                self.bad_frames.note(self.triplets[chosen].name, str(error))
+        raise InputError(f"{self.triplets[0].paths[0].parent}: none of {len(self)} triplets can be read; copy or download them again")
+
+    def _sample(self, epoch: int, index: int) -> dict[str, Any]:
         triplet = self.triplets[index]
         frames = [read_image(path) for path in triplet.paths]
         if len({frame.shape for frame in frames}) > 1:
