@@ -1,0 +1,182 @@
+"""Trainings killed at random moments and started again, against the training that was never killed.
+
+    python -m tests.reliability.kills --kills 50
+
+Each trial is a process of its own, killed with all its loader workers by SIGKILL: at a random moment, or while a checkpoint is being
+written. Trials are forked from this process, which has imported everything, so a start costs nothing.
+"""
+
+import argparse
+import json
+import os
+import random
+import signal
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import pandas as pd
+
+from dualdepth.data.triplets import drive_triplets
+from dualdepth.memory import keep_freed_memory
+from dualdepth.preparation import Sources, write_identity, write_training_index
+from dualdepth.results import Run
+from dualdepth.training_log import read_log
+from dualdepth.trainings import train_variant
+from tests.reliability.counting import write_count
+from tests.small_kitti import DRIVE, write_calibration, write_drive
+
+FRAMES = 10
+
+
+class Tally(NamedTuple):
+    """What became of the trials of one training."""
+
+    kills: int
+    while_writing: int
+    """Kills that left a half-written file behind."""
+    identical: bool
+    """Weights to the bit, and the log but for its speed."""
+
+
+def make_checkout(root: Path) -> Path:
+    """A folder that looks like a checkout, with prepared frames and a profile of two small trainings; returns the profile."""
+    from transformers import ResNetConfig
+
+    small = ResNetConfig(hidden_sizes=[16, 32, 48, 64], depths=[1, 1, 1, 1], embedding_size=16, layer_type="basic")
+    small.save_pretrained(root / "encoder")
+    # loader workers, two half-batches a step, a checkpoint after each step
+    training = {"encoder": str(root / "encoder"), "pretrained": False, "workers": 1, "precision": "float32", "accumulate": 2}
+    stages = {"lr": {"batch_size": 2, "epochs": 2}, "hr": {"batch_size": 2, "epochs": 2}}
+    values = {
+        "about": "killed and started again",
+        "data": {"source": "kitti", "train_drives": [DRIVE], "hr_size": (192, 192)},
+        "training": {**training, **stages, "checkpoint_every": 1, "log_every": 1},
+        "train": {"lr": None, "dual": None},
+    }
+    (root / "notebooks").mkdir()
+    (root / "Snakefile").touch()
+    profile = root / "own.yaml"
+    profile.write_text(json.dumps(values))  # JSON is YAML
+    write_calibration(root / "kitti")
+    write_drive(root / "kitti", range(FRAMES))
+    run = Run(str(profile), root)
+    Sources(kitti_root=root / "kitti", test_list=root / "none.txt").save(run)
+    targets = drive_triplets(root / "kitti", [DRIVE])
+    write_training_index(run, Sources.load(run), targets)
+    write_identity(run, Sources.load(run), targets)
+    return profile
+
+
+def start(run: Run, variant: str, seed: int) -> int:
+    """Train in a process of its own group; returns its number."""
+    process = os.fork()
+    if process:
+        return process
+    try:
+        os.setsid()
+        with open(os.devnull, "w") as nowhere:
+            os.dup2(nowhere.fileno(), 1)
+            os.dup2(nowhere.fileno(), 2)
+        train_variant(run, variant, seed)
+        os._exit(0)
+    finally:
+        os._exit(1)
+
+
+def finish(process: int) -> None:
+    """Wait for a process.
+
+    Raises:
+        RuntimeError: it failed.
+    """
+    status = os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
+    if status:
+        raise RuntimeError(f"the training ended with {status}")
+
+
+def outcome(run: Run, variant: str, seed: int) -> tuple[bytes, pd.DataFrame]:
+    """Weights and log of a finished training."""
+    folder = run.training(variant, seed)
+    return run.weights(variant, seed).read_bytes(), read_log(folder / "log.csv").drop(columns="steps_per_second")
+
+
+def kill_at_random(run: Run, variant: str, seed: int, kills: int, seconds: float, rng: random.Random) -> tuple[int, int]:
+    """Start a training, kill it, start it again … and at last let it end.
+
+    Args:
+        run: of the profile.
+        variant: to train.
+        seed: of the training.
+        kills: how often to kill, while it is not done.
+        seconds: that it takes unkilled.
+        rng: chooses the moments.
+
+    Returns:
+        Kills, and how many of them left a half-written file.
+    """
+    folder, done, torn = run.training(variant, seed), 0, 0
+    while done < kills:
+        process = start(run, variant, seed)
+        aim, moment = rng.random() < 0.5, time.monotonic() + rng.uniform(0, 0.8 * seconds)
+        ended = False
+        while not ended and not (time.monotonic() > moment and (not aim or any(folder.glob(".*.part*")))):
+            ended = os.waitpid(process, os.WNOHANG)[0] != 0
+            time.sleep(0.0005)
+        if ended:
+            return done, torn
+        os.killpg(process, signal.SIGKILL)
+        os.waitpid(process, 0)
+        done, torn = done + 1, torn + any(folder.glob(".*.part*"))
+    finish(start(run, variant, seed))
+    return done, torn
+
+
+def try_kills(root: Path, kills: int, each: int, seed: int = 0) -> list[Tally]:
+    """Train both stages unkilled, then again and again with up to `each` kills, until there were `kills`.
+
+    Stage 2 starts from the stage 1 that was never killed.
+    """
+    keep_freed_memory()
+    run, rng = Run(str(make_checkout(root)), root), random.Random(seed)
+    expected, seconds, tallies = {}, {}, []
+    for variant in ("lr", "dual"):
+        began = time.monotonic()
+        finish(start(run, variant, 0))
+        expected[variant], seconds[variant] = outcome(run, variant, 0), time.monotonic() - began
+    while sum(tally.kills for tally in tallies) < kills:
+        variant = ("lr", "dual")[len(tallies) % 2]
+        folder, kept = run.training(variant, 0), root / "kept"
+        folder.rename(kept)
+        done, torn = kill_at_random(run, variant, 0, each, seconds[variant], rng)
+        weights, log = outcome(run, variant, 0)
+        same = weights == expected[variant][0] and log.equals(expected[variant][1])
+        leftovers = [path for path in folder.rglob(".*.part*")]
+        tallies.append(Tally(done, torn, same and not leftovers))
+        for path in sorted(folder.rglob("*"), reverse=True):
+            path.rmdir() if path.is_dir() else path.unlink()
+        folder.rmdir()
+        kept.rename(folder)
+    return tallies
+
+
+def main() -> int:
+    """Kill as often as asked and count."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--kills", type=int, default=50)
+    parser.add_argument("--each", type=int, default=4, help="kills of one training, at most")
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as root:
+        tallies = try_kills(Path(root), arguments.kills, arguments.each)
+    kills, torn = sum(t.kills for t in tallies), sum(t.while_writing for t in tallies)
+    identical = sum(t.identical for t in tallies)
+    note = f"{kills} kills, {torn} of them in the middle of writing a file; weights to the bit, log but for its speed"
+    write_count("trainings killed by SIGKILL and started again", len(tallies), identical, note)
+    print(f"{identical} of {len(tallies)} trainings identical: {note}")
+    return 0 if identical == len(tallies) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
