@@ -17,7 +17,7 @@ from torch import nn
 from dualdepth.atomic import atomic_path, write_json
 from dualdepth.errors import InputError
 
-KEYS = {"recipe", "step", "model", "optimizer"}
+KEYS = {"recipe", "parts", "step", "model", "optimizer"}
 
 
 def checkpoint_path(folder: str | Path, step: int) -> Path:
@@ -31,15 +31,24 @@ def checkpoint_paths(folder: str | Path) -> list[Path]:
 
 
 def save_checkpoint(
-    folder: str | Path, *, recipe: str, step: int, model: nn.Module, optimizer: torch.optim.Optimizer, keep: int = 2
+    folder: str | Path, step: int, model: nn.Module, optimizer: torch.optim.Optimizer, *, recipe: str, parts: int = 1, keep: int = 2
 ) -> Path:
     """Write what a resume needs, atomically: written, flushed, read back, renamed. Then all but the newest `keep` are removed.
+
+    Args:
+        folder: of the training.
+        step: steps done.
+        model: that is trained.
+        optimizer: of it.
+        recipe: digest of all that shapes the result.
+        parts: that each batch was cut into, by accumulation and processes together.
+        keep: how many are kept.
 
     Raises:
         OSError: it could not be written; the checkpoints before it are untouched.
     """
     path = checkpoint_path(folder, step)
-    state = {"recipe": recipe, "step": step, "model": model.state_dict(), "optimizer": optimizer.state_dict()}
+    state = {"recipe": recipe, "parts": parts, "step": step, "model": model.state_dict(), "optimizer": optimizer.state_dict()}
     with atomic_path(path) as partial:
         try:
             torch.save(state, partial)
@@ -60,7 +69,7 @@ def _read(path: Path) -> Any:
 
 
 def load_checkpoint(path: str | Path) -> dict[str, Any]:
-    """Read a checkpoint: `recipe`, `step`, `model`, `optimizer`.
+    """Read a checkpoint: `recipe`, `parts`, `step`, `model`, `optimizer`.
 
     Raises:
         InputError: the file is missing, truncated, foreign, or holds anything but tensors and plain values (its code is not run).
@@ -113,11 +122,11 @@ class Checkpointer:
         """Whether it is time."""
         return step % self.steps == 0 or time.monotonic() - self.last > 60 * self.minutes
 
-    def save(self, step: int, recipe: str, model: nn.Module, optimizer: torch.optim.Optimizer) -> None:
+    def save(self, step: int, model: nn.Module, optimizer: torch.optim.Optimizer, *, recipe: str, parts: int) -> None:
         """Write one; if that fails, say so, and the next is tried in its time."""
         self.last = time.monotonic()
         try:
-            save_checkpoint(self.folder, recipe=recipe, step=step, model=model, optimizer=optimizer, keep=self.keep)
+            save_checkpoint(self.folder, step, model, optimizer, recipe=recipe, parts=parts, keep=self.keep)
         except OSError as error:
             before = checkpoint_paths(self.folder)
             kept = f"the last good one is {before[0].name}" if before else "there is none yet"

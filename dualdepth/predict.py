@@ -10,6 +10,7 @@ import torch
 from torch import nn
 from tqdm import tqdm
 
+from dualdepth import processes
 from dualdepth.checkpoints import load_card, load_weights
 from dualdepth.data.augmentation import resize
 from dualdepth.data.kitti import read_image
@@ -48,7 +49,6 @@ def load_depth_net(weights: str | Path) -> DepthNet:
     return DepthNet(net.eval(), architecture, size)
 
 
-@torch.inference_mode()
 def predict_disparities(
     depth_net: DepthNet,
     paths: Sequence[str | Path],
@@ -60,14 +60,35 @@ def predict_disparities(
     """Disparities of image files, at the network's own size.
 
     What `read` gives of a file, (H, W, 3) uint8 RGB, is resized to the HR size; LR-Net sees that averaged 3×3, as in training.
+    Several processes share the files; each of them is given all disparities.
 
     Returns:
         (N, h, w) float32, positive, of unknown scale.
     """
+    if processes.count() == 1:
+        return _predict(depth_net, paths, device, batch_size, read)
+    from accelerate import PartialState
+    from accelerate.utils import gather_object
+
+    state = PartialState(cpu=processes.on_cpu())
+    with state.split_between_processes(list(paths)) as share:
+        mine = [_predict(depth_net, share, state.device, batch_size, read)] if share else []
+    return np.concatenate(gather_object(mine))
+
+
+@torch.inference_mode()
+def _predict(
+    depth_net: DepthNet,
+    paths: Sequence[str | Path],
+    device: str | torch.device,
+    batch_size: int,
+    read: Callable[[str | Path], np.ndarray],
+) -> np.ndarray:
+    """Disparities of one process's files."""
     net, architecture, hr_size = depth_net
     net = net.to(device)
     maps = []
-    with tqdm(total=len(paths), desc="predicting", unit="image") as bar:
+    with tqdm(total=len(paths), desc="predicting", unit="image", disable=not processes.is_main()) as bar:
         for batch in _batches(paths, batch_size):
             frames = np.stack([resize(read(path), hr_size) for path in batch]).transpose(0, 3, 1, 2)
             images = to_unit(torch.from_numpy(np.ascontiguousarray(frames)))

@@ -193,10 +193,9 @@ _SHAPING = (
     "training.loss",
     "training.precision",
     "training.channels_last",
-    "training.accumulate",
     "training.on_bad_frame",
 )
-"""Settings of `Training` that shape the weights, beside the stage's own."""
+"""Settings of `Training` that shape the weights, beside the stage's own; not how a batch is cut to fit the machine (`accumulate`)."""
 
 
 def file_digest(path: Path) -> str | None:

@@ -12,6 +12,7 @@ from accelerate.utils import set_seed
 from torch import nn
 from tqdm import tqdm
 
+from dualdepth import processes
 from dualdepth.atomic import check_writable, remove_leftovers
 from dualdepth.checkpoints import Checkpointer, checkpoint_paths, last_checkpoint, save_weights
 from dualdepth.config import Profile
@@ -74,7 +75,9 @@ def train(
     folder, settings = Path(folder), profile.training
     # heads of scales that the loss does not look at get no gradient
     ddp = DistributedDataParallelKwargs(find_unused_parameters=settings.loss.scales < 4)
-    accelerator = Accelerator(mixed_precision="bf16" if settings.precision == "bf16" else "no", kwargs_handlers=[ddp])
+    accelerator = Accelerator(
+        cpu=processes.on_cpu(), mixed_precision="bf16" if settings.precision == "bf16" else "no", kwargs_handlers=[ddp]
+    )
     main = accelerator.is_main_process
     if main:
         check_writable(folder)
@@ -87,12 +90,15 @@ def train(
     trained = [p for p in model.parameters() if p.requires_grad]
     optimizer = torch.optim.Adam(trained, lr=stage.learning_rates[0][1], betas=(stage.beta1, stage.beta2))
     total, start = total_steps(stage, len(triplets)), 0
+    parts = settings.accumulate * accelerator.num_processes  # of a batch; batch norm sees each by itself
     checkpoint = last_checkpoint(folder, accelerator.print)
     if checkpoint and checkpoint["recipe"] == recipe:
         model.load_state_dict(checkpoint["model"])
         optimizer.load_state_dict(checkpoint["optimizer"])
         start = checkpoint["step"]
         accelerator.print(f"resuming {folder} at step {start} of {total}")
+        if checkpoint["parts"] != parts:
+            accelerator.print(f"batches were cut in {checkpoint['parts']}, now in {parts}: same samples, other batch norm, other digits")
     elif checkpoint:
         accelerator.print(f"{folder}: settings or code changed since the checkpoint of step {checkpoint['step']}; training from the start")
     bad_frames = BadFrames(folder / "bad_frames.jsonl", settings.max_bad_frames) if settings.on_bad_frame == "skip" else None
@@ -125,7 +131,7 @@ def train(
 
     def save(step: int) -> None:
         if main:
-            checkpoints.save(step, recipe, accelerator.unwrap_model(model), optimizer)
+            checkpoints.save(step, accelerator.unwrap_model(model), optimizer, recipe=recipe, parts=parts)
 
     def check_finite(what: str, value: torch.Tensor, step: int, names: Sequence[str], batch: dict[str, Any]) -> None:
         if not torch.isfinite(value):
@@ -137,7 +143,7 @@ def train(
             )
 
     with bar, StopRequested(accelerator) as stop:
-        parts = one_line_errors(loader)
+        shares = one_line_errors(loader)
         for step in range(start + 1, total + 1):
             logged = step % settings.log_every == 0 or step in (1, total)
             for group in optimizer.param_groups:
@@ -146,7 +152,7 @@ def train(
             names: list[str] = []
             statistics: list[dict[str, torch.Tensor]] = []
             for part in range(settings.accumulate):
-                batch = {k: v.to(accelerator.device) if torch.is_tensor(v) else v for k, v in next(parts).items()}
+                batch = {k: v.to(accelerator.device) if torch.is_tensor(v) else v for k, v in next(shares).items()}
                 names += batch["name"]
                 with contextlib.nullcontext() if part == settings.accumulate - 1 else accelerator.no_sync(model):
                     output = model(batch)
@@ -178,7 +184,7 @@ def train(
     weights = folder / "model.safetensors"
     if main:
         done = {"steps": total, "seconds_of_last_run": round(seconds, 1), "resumed_at": start, "device": device_name()}
-        done |= {"processes": accelerator.num_processes, "last_losses": log.last(), "skipped": bad_frames.reasons() if bad_frames else {}}
+        done |= {"batch_parts": parts, "last_losses": log.last(), "skipped": bad_frames.reasons() if bad_frames else {}}
         log.close()
         save_weights(weights, accelerator.unwrap_model(model), card | {"seed": seed, "recipe": recipe} | done)
         for path in checkpoint_paths(folder):

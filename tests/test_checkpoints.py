@@ -138,7 +138,7 @@ def test_weights_in_a_pickle_are_refused_and_their_code_is_not_run(tmp_path):
 
 def test_a_checkpoint_makes_the_round_trip(tmp_path):
     net, optimizer = trained_net()
-    path = save_checkpoint(tmp_path, recipe="abc", step=7, model=net, optimizer=optimizer)
+    path = save_checkpoint(tmp_path, 7, net, optimizer, recipe="abc")
     state = load_checkpoint(path)
     assert (state["recipe"], state["step"]) == ("abc", 7)
     assert equal(state["model"], net.state_dict())
@@ -155,7 +155,7 @@ def test_there_may_be_no_checkpoint(tmp_path):
 def test_the_newest_are_kept(tmp_path):
     net, optimizer = trained_net()
     for step in (9, 10, 11, 100):
-        save_checkpoint(tmp_path, recipe="abc", step=step, model=net, optimizer=optimizer, keep=3)
+        save_checkpoint(tmp_path, step, net, optimizer, recipe="abc", keep=3)
     assert [path.name for path in checkpoint_paths(tmp_path)] == [f"checkpoint_{step:08d}.pt" for step in (100, 11, 10)]
     assert last_checkpoint(tmp_path)["step"] == 100
 
@@ -163,7 +163,7 @@ def test_the_newest_are_kept(tmp_path):
 @pytest.mark.parametrize("share", [0, 0.25, 0.5, 0.75, 0.999])
 def test_a_damaged_checkpoint_is_told_and_the_one_before_it_is_used(tmp_path, share):
     net, optimizer = trained_net()
-    paths = [save_checkpoint(tmp_path, recipe="abc", step=step, model=net, optimizer=optimizer) for step in (7, 8)]
+    paths = [save_checkpoint(tmp_path, step, net, optimizer, recipe="abc") for step in (7, 8)]
     paths[1].write_bytes(paths[1].read_bytes()[: int(share * paths[1].stat().st_size)])
     told = []
     assert last_checkpoint(tmp_path, told.append)["step"] == 7
@@ -175,7 +175,7 @@ def test_a_damaged_checkpoint_is_told_and_the_one_before_it_is_used(tmp_path, sh
 
 def test_one_changed_byte_of_a_tensor_is_noticed(tmp_path):
     net, optimizer = trained_net()
-    path = save_checkpoint(tmp_path, recipe="abc", step=7, model=net, optimizer=optimizer)
+    path = save_checkpoint(tmp_path, 7, net, optimizer, recipe="abc")
     content = bytearray(path.read_bytes())
     place = content.find(next(net.parameters()).detach().numpy().tobytes())
     assert place > 0
@@ -188,7 +188,7 @@ def test_one_changed_byte_of_a_tensor_is_noticed(tmp_path):
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), RuntimeError("PytorchStreamWriter failed writing file")])
 def test_a_failed_save_leaves_the_checkpoint_before_it(tmp_path, monkeypatch, error):
     net, optimizer = trained_net()
-    before = save_checkpoint(tmp_path, recipe="abc", step=7, model=net, optimizer=optimizer)
+    before = save_checkpoint(tmp_path, 7, net, optimizer, recipe="abc")
 
     def full_disk(state, path):
         path.write_bytes(b"half")
@@ -196,9 +196,9 @@ def test_a_failed_save_leaves_the_checkpoint_before_it(tmp_path, monkeypatch, er
 
     monkeypatch.setattr(torch, "save", full_disk)
     with pytest.raises(OSError, match=r"No space left|failed writing"):
-        save_checkpoint(tmp_path, recipe="abc", step=8, model=net, optimizer=optimizer)
+        save_checkpoint(tmp_path, 8, net, optimizer, recipe="abc")
     told = []
-    Checkpointer(tmp_path, 1, 1, 1, told.append).save(8, "abc", net, optimizer)
+    Checkpointer(tmp_path, 1, 1, 1, told.append).save(8, net, optimizer, recipe="abc", parts=1)
     assert len(told) == 1 and "step 8 was not written" in told[0] and before.name in told[0]
     assert last_checkpoint(tmp_path)["step"] == 7
     assert list(tmp_path.iterdir()) == [before]
@@ -212,7 +212,7 @@ def test_a_checkpoint_is_due_by_steps_and_by_time(tmp_path, monkeypatch):
     assert [step for step in range(1, 31) if checkpointer.due(step)] == [10, 20, 30]
     now[0] += 121
     assert checkpointer.due(3)
-    checkpointer.save(3, "abc", net, optimizer)
+    checkpointer.save(3, net, optimizer, recipe="abc", parts=1)
     assert not checkpointer.due(4)
 
 
@@ -220,13 +220,13 @@ def write_foreign(kind, path, mark):
     if kind == "pickle":
         path.write_bytes(pickle.dumps(Trap(mark), protocol=2))
     elif kind == "trap in a torch file":
-        torch.save({"recipe": Trap(mark), "step": 1, "model": {}, "optimizer": {}}, path)
+        torch.save({"recipe": Trap(mark), "parts": 1, "step": 1, "model": {}, "optimizer": {}}, path)
     elif kind == "other keys":
         torch.save({"epoch": 3}, path)
     elif kind == "a number":
         torch.save(3, path)
     elif kind == "truncated":
-        torch.save({"recipe": "a", "step": 1, "model": {"w": torch.rand(1000)}, "optimizer": {}}, path)
+        torch.save({"recipe": "a", "parts": 1, "step": 1, "model": {"w": torch.rand(1000)}, "optimizer": {}}, path)
         path.write_bytes(path.read_bytes()[:2000])
     else:
         path.write_bytes(kind)

@@ -14,8 +14,11 @@ def add_train(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -
 
 def train(arguments: argparse.Namespace) -> int:
     """Train and say where the weights are."""
+    from dualdepth import processes
     from dualdepth.results import Run
     from dualdepth.trainings import train_variant
 
-    print(train_variant(Run(arguments.profile), arguments.variant, arguments.seed))
+    weights = train_variant(Run(arguments.profile), arguments.variant, arguments.seed)
+    if processes.is_main():
+        print(weights)
     return 0

@@ -41,19 +41,19 @@ class Tally(NamedTuple):
     """Weights to the bit, and the log but for its speed."""
 
 
-def make_checkout(root: Path) -> Path:
+def make_checkout(root: Path, **training: object) -> Path:
     """A folder that looks like a checkout, with prepared frames and a profile of two small trainings; returns the profile."""
     from transformers import ResNetConfig
 
     small = ResNetConfig(hidden_sizes=[16, 32, 48, 64], depths=[1, 1, 1, 1], embedding_size=16, layer_type="basic")
     small.save_pretrained(root / "encoder")
     # loader workers, two half-batches a step, a checkpoint after each step
-    training = {"encoder": str(root / "encoder"), "pretrained": False, "workers": 1, "precision": "float32", "accumulate": 2}
+    usual = {"encoder": str(root / "encoder"), "pretrained": False, "workers": 1, "precision": "float32", "accumulate": 2}
     stages = {"lr": {"batch_size": 2, "epochs": 2}, "hr": {"batch_size": 2, "epochs": 2}}
     values = {
         "about": "killed and started again",
         "data": {"source": "kitti", "train_drives": [DRIVE], "hr_size": (192, 192)},
-        "training": {**training, **stages, "checkpoint_every": 1, "log_every": 1},
+        "training": {**usual, **stages, "checkpoint_every": 1, "log_every": 1, **training},
         "train": {"lr": None, "dual": None},
     }
     (root / "notebooks").mkdir()
@@ -70,13 +70,14 @@ def make_checkout(root: Path) -> Path:
     return profile
 
 
-def start(run: Run, variant: str, seed: int) -> int:
-    """Train in a process of its own group; returns its number."""
+def start(run: Run, variant: str, seed: int, **environment: str) -> int:
+    """Train in a process of its own group, with more in its environment; returns its number."""
     process = os.fork()
     if process:
         return process
     try:
         os.setsid()
+        os.environ.update(environment)
         with open(os.devnull, "w") as nowhere:
             os.dup2(nowhere.fileno(), 1)
             os.dup2(nowhere.fileno(), 2)

@@ -1,0 +1,20 @@
+"""How many processes share the work under `torchrun` or SLURM, and which of them this is."""
+
+import os
+
+import torch
+
+
+def count() -> int:
+    """Processes that work together, 1 where nothing says otherwise."""
+    return int(os.environ.get("WORLD_SIZE", 1))
+
+
+def is_main() -> bool:
+    """Whether this is the one that writes and prints."""
+    return int(os.environ.get("RANK", 0)) == 0
+
+
+def on_cpu() -> bool:
+    """Whether several processes work on a CPU: accelerate must be told, else each would work by itself."""
+    return count() > 1 and not torch.cuda.is_available()

@@ -1,0 +1,117 @@
+"""Several processes train as one, share predictions, and end together."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import torch
+
+from dualdepth.checkpoints import last_checkpoint
+from dualdepth.predict import load_depth_net, predict_disparities
+from tests.reliability.ddp import Pair, largest_difference, start_two, wait_for_step, weights_of
+from tests.reliability.kills import finish, start
+
+TORCHRUN = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+
+
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory):
+    return Pair(tmp_path_factory.mktemp("pair"))
+
+
+@pytest.fixture(scope="module")
+def single(pair):
+    return pair.one("lr")
+
+
+@pytest.mark.slow
+def test_two_processes_train_as_one_that_accumulates_the_same_halves(pair, single):
+    double = pair.two("lr")
+    assert largest_difference(weights_of(single[0]), weights_of(double[0])) <= 1e-6
+    assert single[1].equals(double[1])  # the log: means over both halves, on both
+
+
+@pytest.mark.slow
+def test_told_to_stop_they_agree_on_a_step_and_one_process_goes_on_from_there(pair, single):
+    resumed = pair.two_then_one("lr")
+    assert largest_difference(weights_of(single[0]), weights_of(resumed[0])) <= 1e-6
+
+
+@pytest.mark.slow
+def test_when_one_process_dies_the_other_ends_within_a_minute(pair):
+    run = pair.run(accumulate=1)
+    both = start_two(run, "lr")
+    wait_for_step(run, "lr", 2)
+    os.kill(both[1], signal.SIGKILL)
+    began = time.monotonic()
+    assert [os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]) for process in both] == [1, -signal.SIGKILL]
+    assert time.monotonic() - began < 60
+    assert last_checkpoint(run.training("lr", 0))["step"] >= 2
+
+
+@pytest.mark.slow
+def test_torchrun_ends_with_the_error_of_the_process_that_met_it(pair):
+    run = pair.run(accumulate=1)
+    frame = sorted((pair.root / "kitti").rglob("*.png"))[3]
+    content = frame.read_bytes()
+    frame.write_bytes(content[:100])
+    command = [*TORCHRUN, "-m", "dualdepth.cli"]
+    began = time.monotonic()
+    try:
+        done = subprocess.run(
+            [sys.executable, *command, "train", "--profile", str(pair.profile), "--variant", "lr"],
+            cwd=pair.root,
+            capture_output=True,
+            text=True,
+            timeout=120,
+            env=os.environ | {"OMP_NUM_THREADS": "1"},
+        )
+    finally:
+        frame.write_bytes(content)
+    assert time.monotonic() - began < 60
+    assert done.returncode != 0
+    assert re.search(rf"^error: \S*{frame.name}: truncated", done.stderr, re.MULTILINE)
+    assert not run.weights("lr", 0).exists()
+
+
+@pytest.mark.slow
+def test_predictions_are_shared_and_each_image_counts_once(pair, single, tmp_path):
+    weights = tmp_path / "model.safetensors"
+    kept = pair.root / "kept1"
+    weights.write_bytes((kept / "model.safetensors").read_bytes())
+    weights.with_suffix(".json").write_bytes((kept / "model.json").read_bytes())
+    paths = sorted((pair.root / "kitti").rglob("*.png"))[:5]
+    script = (
+        "import sys, numpy as np\n"
+        "from dualdepth import processes\n"
+        "from dualdepth.predict import load_depth_net, predict_disparities\n"
+        "found = predict_disparities(load_depth_net(sys.argv[1]), sys.argv[3:], batch_size=2)\n"
+        "np.save(f'{sys.argv[2]}/{processes.is_main():d}.npy', found)\n"
+    )
+    (tmp_path / "share.py").write_text(script)
+    command = [*TORCHRUN, str(tmp_path / "share.py"), str(weights), str(tmp_path), *map(str, paths)]
+    subprocess.run([sys.executable, *command], check=True, env=os.environ | {"OMP_NUM_THREADS": "1"}, timeout=120)
+    torch.set_num_threads(1)
+    alone = predict_disparities(load_depth_net(weights), paths, batch_size=1)
+    for process in "01":
+        assert np.allclose(np.load(tmp_path / f"{process}.npy"), alone, rtol=1e-5)
+
+
+@pytest.mark.slow
+def test_weights_trained_by_hand_are_taken_by_the_chain(pair, capsys):
+    """`torchrun … dualdepth train` first, the chain afterwards, which has one process and may cut batches otherwise."""
+    from dualdepth.trainings import train_variant
+
+    run = pair.run(accumulate=1)
+    for process in start_two(run, "lr"):
+        finish(process)
+    content = run.weights("lr", 0).read_bytes()
+    finish(start(pair.run(accumulate=2), "lr", 0))
+    assert run.weights("lr", 0).read_bytes() == content
+    train_variant(pair.run(accumulate=2), "lr", 0)
+    assert "already trained" in capsys.readouterr().out
