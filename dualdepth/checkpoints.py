@@ -65,8 +65,11 @@ def load_card(path: str | Path) -> dict[str, Any]:
         values = json.loads(card.read_text(encoding="utf-8"))
         if not isinstance(values, dict):
             raise ValueError(f"expected a mapping, found {type(values).__name__}")
+        drives = values.get("drives", [])
+        if not (isinstance(drives, list) and all(isinstance(drive, str) for drive in drives)):
+            raise ValueError("its drives are no list of names")
         return values
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{card}: the weights' card cannot be read ({error}); keep it beside the weights") from None
 
 

@@ -162,7 +162,9 @@ class Run:
     @property
     def allow_leak(self) -> bool:
         """Whether this run may score what was trained on; its results then say so."""
-        return self.sources.exists() and json.loads(self.sources.read_text(encoding="utf-8")).get("allow_leak", False)
+        from dualdepth.preparation import Sources  # which imports this module
+
+        return self.sources.exists() and Sources.load(self).allow_leak
 
     @cached_property
     def _revision(self) -> tuple[str, bool]:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from dualdepth.data.kitti import read_image
+from dualdepth.data.kitti import check_image, read_image
 from dualdepth.errors import InputError
 
 PHOTO_FOLDERS = ("Test134", "Test134Img")
@@ -84,7 +84,7 @@ def read_grid(path: str | Path) -> np.ndarray:
         raise InputError(f"{path}: not a .mat file that can be read ({reason}); copy or download it again") from None
     if GRID_KEY not in values:
         raise InputError(f"{path}: holds no {GRID_KEY}; give the laser grids of Make3D's test set")
-    points = values[GRID_KEY]
+    points = np.asarray(values[GRID_KEY])
     if points.shape != (*GRID_SHAPE, 4) or points.dtype.kind not in "fiu":
         raise InputError(f"{path}: {GRID_KEY} is {points.dtype} of shape {points.shape}; expected numbers of shape {(*GRID_SHAPE, 4)}")
     return points[..., 3].astype(np.float64)
@@ -103,6 +103,7 @@ def read_photo(path: str | Path) -> np.ndarray:
     if not is_truncated(path):
         return read_image(path)
     data = np.frombuffer(path.read_bytes() + END_OF_JPEG, np.uint8)
+    check_image(path, data)
     photo = cv2.imdecode(data, cv2.IMREAD_COLOR_RGB)
     # the decoder fills with mid-grey what it has no data for
     if photo is None or (photo == 128).all(axis=(1, 2)).mean() > 1 - LEAST_LEFT:
