@@ -22,7 +22,7 @@ from dualdepth.data.download import disk_error, require_space
 from dualdepth.errors import InputError
 
 CHUNK = 1 << 20
-DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError)
+DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError, LookupError)
 """What `zipfile` raises for a truncated, corrupted, encrypted or exotic archive."""
 DAMAGED_TAR = (tarfile.TarError, gzip.BadGzipFile, zlib.error, EOFError, ValueError, OverflowError)
 """What `tarfile` and `gzip` raise for one."""
