@@ -157,7 +157,7 @@ def whole_image(path: str | Path) -> np.ndarray:
     return data
 
 
-def check_image(path: str | Path, data: np.ndarray) -> None:
+def check_image(path: str | Path, data: np.ndarray | bytes) -> None:
     """Refuse what is no image or announces too many pixels, by its header, and a PNG whose checksums are wrong.
 
     The decoder would tell of the one on stderr as well, and make room for the other.
@@ -171,7 +171,7 @@ def check_image(path: str | Path, data: np.ndarray) -> None:
         with PIL.Image.open(io.BytesIO(data)) as image:
             image.verify()
     except PIL.UnidentifiedImageError:  # whose own message names no file
-        raise InputError(f"{path}: not an image that can be decoded ({data.size} bytes); copy or download it again") from None
+        raise InputError(f"{path}: not an image that can be decoded ({len(data)} bytes); copy or download it again") from None
     except Exception as error:  # Pillow has a kind for each damage
         raise InputError(f"{path}: not an image that can be decoded ({error}); copy or download it again") from None
 
