@@ -39,7 +39,16 @@ CODE = {
     "predict": (
         *("predict", "scoring", "make3d_scoring", "odometry_scoring", "networks"),
         *("evaluation.depth", "evaluation.baselines", "evaluation.make3d"),
-        *("data.augmentation", "data.loading", "data.kitti", "data.depth_maps", "data.make3d", "data.mat", "data.odometry", "data.trajectories"),
+        *(
+            "data.augmentation",
+            "data.loading",
+            "data.kitti",
+            "data.depth_maps",
+            "data.make3d",
+            "data.mat",
+            "data.odometry",
+            "data.trajectories",
+        ),
     ),
     "tables": ("tables", "paper", "plots", "figures", "evaluation", "data.label_maps", "leaks"),
     "report": ("report", "verdicts", "assumptions"),

@@ -64,7 +64,9 @@ def unpack(archive: str | Path, folder: str | Path, place: Callable[[str], str |
             kept = [info for info, target in members if target is not None]
             size = sum(info.file_size for info in kept)
             if size > max(MOST_OF_SMALL, SWELLING * archive.stat().st_size):
-                raise BadArchiveError(f"{archive}: refused, since it unpacks to {size / 1e9:.1f} GB, more than {SWELLING} times its own size")
+                raise BadArchiveError(
+                    f"{archive}: refused, since it unpacks to {size / 1e9:.1f} GB, more than {SWELLING} times its own size"
+                )
             require_space(folder, size, f"unpacking {archive.name}")
             if bar is not None:
                 bar.reset(sum(info.file_size for info, _ in members))

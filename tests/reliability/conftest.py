@@ -8,7 +8,7 @@ import pytest
 
 sys.path[:0] = [str(Path(__file__).parents[2]), str(Path(__file__).parents[1] / "data")]
 
-from counting import write_count
+from counting import write_count  # noqa: E402
 
 
 @pytest.fixture

@@ -103,7 +103,11 @@ def test_the_table_is_long_and_names_no_case_twice():
     "world, file, command",
     [
         ("depth", "G.npz", ["-m", "dualdepth.cli", "evaluate", "depth", "--pred", "P.npy", "--gt", "G.npz"]),
-        ("scans", "list.txt", [str(REPOSITORY / "data_scripts/export_depth.py"), "--kitti", "kitti", "--list", "list.txt", "--out", "out.npz"]),
+        (
+            "scans",
+            "list.txt",
+            [str(REPOSITORY / "data_scripts/export_depth.py"), "--kitti", "kitti", "--list", "list.txt", "--out", "out.npz"],
+        ),
         ("PNG frames", "own.yaml", ["-m", "dualdepth.cli", "train", "--profile", "own.yaml"]),
     ],
 )

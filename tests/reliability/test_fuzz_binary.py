@@ -8,16 +8,15 @@ import zipfile
 from pathlib import Path
 from types import SimpleNamespace
 
-import cv2
 import numpy as np
 import pytest
 import torch
-from damage import FUZZ, bytes_of, values_of
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from PIL import Image
 from scipy.io import savemat
+from strategies import FUZZ, bytes_of, values_of
 
 from dualdepth import predict
 from dualdepth.checkpoints import load_card, load_checkpoint, load_weights, save_checkpoint, save_weights
@@ -216,7 +215,11 @@ def test_cards_of_networks(tmp_path, monkeypatch, counted):
     monkeypatch.setattr("dualdepth.networks.architecture.Architecture.build", lambda self, pretrained=False: network())
     monkeypatch.setattr(predict, "PoseNet", network)
     whole = {**predict.Architecture("lr", "resnet18").words(), "hr_size": [192, 192]}
-    save_weights(tmp_path / "w.safetensors", SimpleNamespace(state_dict=lambda: network().state_dict(prefix="depth_net.") | network().state_dict(prefix="pose_net.")), whole)
+    save_weights(
+        tmp_path / "w.safetensors",
+        SimpleNamespace(state_dict=lambda: network().state_dict(prefix="depth_net.") | network().state_dict(prefix="pose_net.")),
+        whole,
+    )
     digest = load_card(tmp_path / "w.safetensors")["sha256"]
     assert predict.load_depth_net(tmp_path / "w.safetensors").hr_size == (192, 192)
 

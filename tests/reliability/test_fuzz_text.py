@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from damage import FUZZ, JSON, bytes_of, values_of
 from hypothesis import given
 from hypothesis import strategies as st
+from strategies import FUZZ, bytes_of, values_of
 
 from data_scripts import download_kitti, download_make3d
 from dualdepth.checkpoints import load_card
@@ -87,7 +87,10 @@ TEXTS = {
     "numbered poses": (NUMBERED, trajectory),
     "prepared triplets": (TARGETS, triplets),
     "prepared odometry": (ODOMETRY, lambda f: load_odometry_triplets(f / "damaged", f)),
-    "profile as text": ((Path(kitti.__file__).parents[1] / "profiles/tiny.yaml").read_bytes(), lambda f: load_profile(str((f / "damaged").rename(f / "own.yaml")))),
+    "profile as text": (
+        (Path(kitti.__file__).parents[1] / "profiles/tiny.yaml").read_bytes(),
+        lambda f: load_profile(str((f / "damaged").rename(f / "own.yaml"))),
+    ),
     "card as text": (b'{"network": "lr", "drives": ["a"], "sha256": "0"}', lambda f: load_card((f / "damaged").rename(f / "w.json"))),
 }
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 sys.path[:0] = [str(Path(__file__).parents[place]) for place in (1, 2)] + [str(Path(__file__).parents[1] / "data")]
 
-from worlds import CAMERAS, DRIVE, SCAN, WORLDS
+from worlds import CAMERAS, DRIVE, SCAN, WORLDS  # noqa: E402
 
 NOBODY = 65534
 DENIED = [

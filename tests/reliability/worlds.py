@@ -1,6 +1,6 @@
 """Good input for each command in a folder of its own, and the call that reads it; a bad input is one of these, damaged.
 
-`WORLDS[name](folder)` writes the files below `folder`, which is the working directory, and gives the call; oxts files are not read by anything.
+`WORLDS[name](folder)` writes the files below `folder`, which is the working directory, and gives the call. Nothing reads oxts files.
 """
 
 import io

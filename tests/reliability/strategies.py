@@ -16,7 +16,27 @@ FUZZ = settings(
 """40 examples a parser, or as many as DUALDEPTH_EXAMPLES says."""
 
 WORDS = [
-    *("nan", "-inf", "1e999", "-1", "0", "1_0", "0x10", "²", "٣", "9" * 400, "1e308", "--", "''", "\x00", "\ufeff", "\u2028", "\r", "\n", "\t"),
+    *(
+        "nan",
+        "-inf",
+        "1e999",
+        "-1",
+        "0",
+        "1_0",
+        "0x10",
+        "²",
+        "٣",
+        "9" * 400,
+        "1e308",
+        "--",
+        "''",
+        "\x00",
+        "\ufeff",
+        "\u2028",
+        "\r",
+        "\n",
+        "\t",
+    ),
     *(":", ",", "{", "[", "!!python/object:os.system", "&a", "*a", "2001-99-99", "null", "true", "../..", "/etc/passwd", "ñ ö.png"),
 ]
 """What text parsers stumble over."""
@@ -31,13 +51,17 @@ def bytes_of(draw, whole: bytes, words: bool = False) -> bytes:
     for _ in range(draw(st.integers(1, 4))):
         at = draw(st.integers(0, len(data)))
         length = draw(st.sampled_from([0, 1, 2, 4, 8, 64]))
-        kind = draw(st.sampled_from(["word", "word", "line", "delete", "overwrite"] if words else ["bit", "overwrite", "delete", "repeat", "cut"]))
+        kind = draw(
+            st.sampled_from(["word", "word", "line", "delete", "overwrite"] if words else ["bit", "overwrite", "delete", "repeat", "cut"])
+        )
         if kind == "cut":
             del data[at:]
         elif kind == "bit" and at < len(data):
             data[at] ^= 1 << draw(st.integers(0, 7))
         elif kind == "overwrite":
-            data[at : at + length] = draw(st.one_of(st.binary(min_size=length, max_size=length), st.sampled_from([b"\x00", b"\xff"]).map(lambda b, n=length: b * n)))
+            data[at : at + length] = draw(
+                st.one_of(st.binary(min_size=length, max_size=length), st.sampled_from([b"\x00", b"\xff"]).map(lambda b, n=length: b * n))
+            )
         elif kind == "delete":
             del data[at : at + length]
         elif kind == "repeat":
@@ -59,7 +83,12 @@ def _gaps(data: bytearray) -> list[int]:
 
 
 JSON = st.recursive(
-    st.none() | st.booleans() | st.integers(-(10**20), 10**20) | st.floats() | st.text(max_size=8) | st.sampled_from(["lr", "cpu", "/", "a\0b"]),
+    st.none()
+    | st.booleans()
+    | st.integers(-(10**20), 10**20)
+    | st.floats()
+    | st.text(max_size=8)
+    | st.sampled_from(["lr", "cpu", "/", "a\0b"]),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=6), inner, max_size=3),
     max_leaves=6,
 )
