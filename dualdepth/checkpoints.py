@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,8 @@ def load_checkpoint(path: str | Path) -> dict[str, Any] | None:
     if not path.exists():
         return None
     try:
-        state = torch.load(path, map_location="cpu", weights_only=True)
+        with warnings.catch_warnings(action="ignore"):  # of a foreign file, which the error below tells of
+            state = torch.load(path, map_location="cpu", weights_only=True)
         if {"recipe", "step", "model", "optimizer"} <= set(state):
             return state
         reason = "keys are missing"

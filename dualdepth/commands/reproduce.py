@@ -121,11 +121,14 @@ def parse_seeds(text: str) -> list[int]:
     """Seeds of `0,1,2`; none of an empty text.
 
     Raises:
-        InputError: something else than whole numbers between commas.
+        InputError: something else than whole numbers from 0 up between commas.
     """
     from dualdepth.errors import InputError
 
     try:
-        return [int(part) for part in text.split(",")] if text else []
+        seeds = [int(part) for part in text.split(",")] if text else []
     except ValueError:
-        raise InputError(f"seeds {text!r}: give whole numbers between commas, such as 0,1,2") from None
+        seeds = [-1]
+    if any(seed < 0 for seed in seeds):
+        raise InputError(f"seeds {text!r}: give whole numbers from 0 up between commas, such as 0,1,2")
+    return seeds

@@ -10,7 +10,10 @@ from loopback import running
 from worlds import SERVED, WORLDS
 
 from data_scripts import download_make3d
+from dualdepth.cli import main
+from dualdepth.commands.reproduce import parse_seeds
 from dualdepth.data import download
+from dualdepth.errors import InputError
 
 REPOSITORY = Path(__file__).parents[2]
 LOGS = ("log.csv", "events.out.tfevents", "panels")
@@ -67,11 +70,12 @@ def lines(err: str) -> list[str]:
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case.world}-{Path(case.file).name}-{case.what}".replace(" ", "_"))
-def test_the_table(case, tmp_path, monkeypatch, server, capfd, counted):
+def test_the_table(case, tmp_path, monkeypatch, server, capfd, recwarn, counted):
     monkeypatch.chdir(tmp_path)
     call = call_of(case, tmp_path, server)
     before = files(tmp_path)
     capfd.readouterr()
+    recwarn.clear()
     with counted():
         if case.works:
             assert call() == 0
@@ -79,7 +83,8 @@ def test_the_table(case, tmp_path, monkeypatch, server, capfd, counted):
         with pytest.raises(SystemExit) as stop:
             call()
         said = lines(capfd.readouterr().err)
-        assert stop.value.code == 2
+        warned = [w.message for w in recwarn.list if not issubclass(w.category, (ResourceWarning, pytest.PytestUnraisableExceptionWarning))]
+        assert stop.value.code == 2 and not warned
         assert len(said) == 1 and said[0].startswith("error: "), said
         assert (case.named or Path(case.file).name) in said[0]
         assert {name for name in files(tmp_path) - before if not name.startswith(case.leaves)} == set() and before <= files(tmp_path)
@@ -119,3 +124,12 @@ def test_as_a_process(world, file, command, tmp_path, monkeypatch, counted):
         done = subprocess.run([sys.executable, *command], capture_output=True, text=True, check=False)
         assert done.returncode == 2 and done.stdout == ""
         assert len(done.stderr.splitlines()) == 1 and done.stderr.startswith("error: ") and file in done.stderr
+
+
+@pytest.mark.parametrize("seed", ["-1", "4294967296"])
+def test_a_seed_that_is_none_is_refused(seed, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["train", "--seed", seed])
+    assert stop.value.code == 2 and capsys.readouterr().err == f"error: --seed {seed}: give a whole number from 0 to 4294967295\n"
+    with pytest.raises(InputError, match="from 0 up"):
+        parse_seeds("0,-1")
