@@ -52,7 +52,11 @@ def export(
         # a bar in a pipe would break the one-line error
         for number in tqdm(present, "ground truth", unit="frame", disable=None):
             frame = frames[number]
-            yield improved_ground_truth(improved, frame) if improved else ground_truth(root, frame, camera_z=camera_z)
+            try:
+                depth = improved_ground_truth(improved, frame) if improved else ground_truth(root, frame, camera_z=camera_z)
+            except OSError as error:  # else told as one of writing
+                raise InputError(f"{error.filename}: cannot be read ({error.strerror})") from None
+            yield depth
 
     return save_ground_truth(out, maps(), (f"{number:06d}" for number in present))
 

@@ -2,8 +2,8 @@
 
 import hashlib
 import json
-import pickle
 import time
+import warnings
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -65,24 +65,35 @@ def _read(path: Path) -> Any:
     with zipfile.ZipFile(path) as archive:
         if damaged := archive.testzip():
             raise zipfile.BadZipFile(f"{damaged} is damaged")
-    return torch.load(path, map_location="cpu", weights_only=True)
+    with warnings.catch_warnings(action="ignore"):  # of a foreign file, which its reader's error tells of
+        return torch.load(path, map_location="cpu", weights_only=True)
+
+
+def read_state(path: str | Path, keys: set[str], what: str, mend: str) -> dict[str, Any]:
+    """Read a file that `torch.save` wrote, and make sure that it holds `keys`.
+
+    Raises:
+        InputError: the file is missing, truncated, changed, foreign, or holds anything but tensors and plain values (its code is not
+            run); the message says that it is not `what`, and the `mend`.
+    """
+    path = Path(path)
+    try:
+        state = _read(path)
+        if set(state) >= keys:
+            return state
+        reason = "keys are missing"
+    except Exception as error:  # torch, pickle and zip have a kind for each damage
+        reason = (str(error) or type(error).__name__).splitlines()[0]
+    raise InputError(f"{path}: not {what} of this project ({reason}); {mend}")
 
 
 def load_checkpoint(path: str | Path) -> dict[str, Any]:
     """Read a checkpoint: `recipe`, `parts`, `step`, `model`, `optimizer`.
 
     Raises:
-        InputError: the file is missing, truncated, foreign, or holds anything but tensors and plain values (its code is not run).
+        InputError: see `read_state`.
     """
-    path = Path(path)
-    try:
-        state = _read(path)
-        if set(state) >= KEYS:
-            return state
-        reason = "keys are missing"
-    except (OSError, RuntimeError, EOFError, LookupError, ValueError, TypeError, pickle.UnpicklingError, zipfile.BadZipFile) as error:
-        reason = (str(error) or type(error).__name__).splitlines()[0]
-    raise InputError(f"{path}: not a checkpoint of this project ({reason}); delete it to train from the start")
+    return read_state(path, KEYS, "a checkpoint", "delete it to train from the start")
 
 
 def last_checkpoint(folder: str | Path, say: Callable[[str], object] = print) -> dict[str, Any] | None:
@@ -162,8 +173,11 @@ def load_card(path: str | Path) -> dict[str, Any]:
         values = json.loads(card.read_text(encoding="utf-8"))
         if not isinstance(values, dict):
             raise ValueError(f"expected a mapping, found {type(values).__name__}")
+        drives = values.get("drives", [])
+        if not (isinstance(drives, list) and all(isinstance(drive, str) for drive in drives)):
+            raise ValueError("its drives are no list of names")
         return values
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{card}: the weights' card cannot be read ({error}); keep it beside the weights") from None
 
 

@@ -7,6 +7,7 @@ import difflib
 import functools
 import hashlib
 import json
+import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -34,8 +35,8 @@ class Profile(Settings):
     evaluation: Evaluation = Evaluation()
     train: dict[str, dict[str, Any] | None] = Field({"lr": None, "dual": None, "dual_no_sa": None}, min_length=1)
     """The variants to train, each with settings of its own by dotted name, such as `{training.hr.max_steps: 6}`."""
-    variants: dict[str, Variant] = Field({})
-    """Variants of the profile's own, beside those of `dualdepth/variants.yaml`."""
+    variants: dict[Annotated[str, Field(pattern=r"^[\w-]+$")], Variant] = Field({})
+    """Variants of the profile's own, beside those of `dualdepth/variants.yaml`; folders are named by them."""
 
     @model_validator(mode="after")
     def _fits_together(self) -> "Profile":
@@ -153,9 +154,11 @@ def load_profile(name: str) -> Profile:
         InputError: no such profile, no valid YAML, or a bad key or value; the message names the file and the nearest known key.
     """
     path = profile_file(name)
+    if not re.fullmatch(r"[\w.-]+", path.stem):
+        raise InputError(f"profile {name}: folders and commands are named by it; give the file a name of letters, digits, . _ and -")
     try:
         values = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except (OSError, yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: no UTF-8, or a date that is none
         raise InputError(f"{path}: not a YAML file: {error}") from None
     if not isinstance(values, dict):
         raise InputError(f"{path}: expected a mapping of settings, found {type(values).__name__}")

@@ -1,6 +1,5 @@
 """What ends a training before its time: a signal, or numbers that are not finite; and the latter's batch, kept to be looked into."""
 
-import pickle
 import signal
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -12,6 +11,7 @@ from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
 from dualdepth.atomic import atomic_path
+from dualdepth.checkpoints import read_state
 from dualdepth.errors import InputError
 
 FAILURE_KEYS = {"what", "step", "names", "model", "images", "intrinsics"}
@@ -77,17 +77,9 @@ def load_failure(path: str | Path) -> dict[str, Any]:
     Raises:
         InputError: there is none, or it cannot be read (its code is not run).
     """
-    path = Path(path)
-    if not path.exists():
+    if not Path(path).exists():
         raise InputError(f"{path}: is not there; it is written when a loss or gradient is not finite")
-    try:
-        state = torch.load(path, map_location="cpu", weights_only=True)
-        if set(state) >= FAILURE_KEYS:
-            return state
-        reason = "keys are missing"
-    except (OSError, RuntimeError, EOFError, LookupError, ValueError, TypeError, pickle.UnpicklingError) as error:
-        reason = (str(error) or type(error).__name__).splitlines()[0]
-    raise InputError(f"{path}: not a failure kept by this project ({reason}); train again to see whether it comes again")
+    return read_state(path, FAILURE_KEYS, "a failure kept by a training", "train again to see whether it comes again")
 
 
 def replay(state: dict[str, Any], stage: nn.Module, *, bf16: bool) -> list[str]:

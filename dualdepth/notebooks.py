@@ -57,7 +57,7 @@ def run_notebook(name: str, out: str | Path, parameters: dict[str, Any]) -> Path
             )
         except PapermillExecutionError as error:
             shutil.copyfile(partial, failed)
-            if error.ename == "InputError":
+            if error.ename in ("InputError", "PermissionError"):
                 raise InputError(error.evalue) from None
             raise RuntimeError(f"{source.name} failed in cell {error.cell_index}: {error.ename}: {error.evalue}; see {failed}") from None
         notebook = nbformat.read(partial, as_version=4)

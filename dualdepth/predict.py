@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -19,6 +19,9 @@ from dualdepth.errors import InputError
 from dualdepth.geometry import pose_matrix
 from dualdepth.networks.architecture import Architecture
 from dualdepth.networks.pose_net import PoseNet
+
+LARGEST_FRAME = 10**8
+"""Pixels of a frame that a card may announce."""
 
 
 class DepthNet(NamedTuple):
@@ -39,7 +42,7 @@ def load_depth_net(weights: str | Path) -> DepthNet:
     card = load_card(weights)
     try:
         architecture = Architecture(**{field.name: card[field.name] for field in dataclasses.fields(Architecture)})
-        size = tuple(card["hr_size"])
+        size = _frame_size(card["hr_size"])
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"{Path(weights).with_suffix('.json')}: names no network of this project ({error}); keep the card that was written with it"
@@ -113,10 +116,14 @@ def load_pose_net(weights: str | Path) -> PoseModel:
         InputError: the weights or their card cannot be read or do not fit.
     """
     card, net = load_card(weights), PoseNet()
-    if "hr_size" not in card:
-        raise InputError(f"{Path(weights).with_suffix('.json')}: names no frame size; keep the card that was written with it")
+    try:
+        size = _frame_size(card["hr_size"])
+    except (KeyError, ValueError) as error:
+        raise InputError(
+            f"{Path(weights).with_suffix('.json')}: names no frame size ({error}); keep the card that was written with it"
+        ) from None
     load_weights(weights, net, prefix="pose_net.")
-    return PoseModel(net.eval(), tuple(card["hr_size"]))
+    return PoseModel(net.eval(), size)
 
 
 @torch.inference_mode()
@@ -152,6 +159,13 @@ def predict_poses(model: PoseModel, paths: Sequence[str | Path], *, device: str 
                 frames = frames[-2:]
             bar.update()
     return torch.cat(poses).numpy()
+
+
+def _frame_size(value: Any) -> tuple[int, int]:
+    match value:
+        case [int(height), int(width)] if min(height, width) >= 3 and height * width <= LARGEST_FRAME:
+            return height, width
+    raise ValueError(f"hr_size {value!r} is no (height, width) in pixels")
 
 
 def _batches(paths: Sequence[str | Path], size: int) -> Iterable[Sequence[str | Path]]:

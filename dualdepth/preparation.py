@@ -1,11 +1,11 @@
 """From the profile to prepared data: where the frames are, which are trained on, which are scored."""
 
-import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from pydantic import TypeAdapter, ValidationError
 
 from dualdepth.atomic import write_json
 from dualdepth.data.kitti import Frame, check_root, image_path, read_frame_list, read_static_frames, read_test_scenes, velodyne_path
@@ -13,7 +13,7 @@ from dualdepth.data.label_maps import label_path
 from dualdepth.data.make3d import find_pairs
 from dualdepth.data.odometry import check_odometry_root, frame_files, poses_path, sequence_of, write_odometry_index
 from dualdepth.data.triplets import drive_triplets, missing_neighbours, name_missing, write_targets
-from dualdepth.errors import InputError
+from dualdepth.errors import InputError, first_mistake
 from dualdepth.results import Run, file_digest
 
 
@@ -42,9 +42,19 @@ class Sources(NamedTuple):
 
     @classmethod
     def load(cls, run: Run) -> "Sources":
-        """Read what notebook 01 wrote."""
-        values = json.loads(run.require(run.sources, "01_download_data").read_text(encoding="utf-8"))
-        return cls(**{k: Path(v) if isinstance(v, str) else tuple(v) if isinstance(v, list) else v for k, v in values.items()})
+        """Read what notebook 01 wrote.
+
+        Raises:
+            InputError: it is not there, or is something else.
+        """
+        path = run.require(run.sources, "01_download_data")
+        try:
+            return _SAVED_SOURCES.validate_json(path.read_bytes())
+        except ValidationError as error:
+            raise InputError(f"{path}: {first_mistake(error)}; run notebook 01_download_data again") from None
+
+
+_SAVED_SOURCES = TypeAdapter(Sources)
 
 
 def training_targets(run: Run, sources: Sources) -> list[Frame]:

@@ -39,7 +39,16 @@ CODE = {
     "predict": (
         *("predict", "scoring", "make3d_scoring", "odometry_scoring", "networks"),
         *("evaluation.depth", "evaluation.baselines", "evaluation.make3d"),
-        *("data.augmentation", "data.loading", "data.kitti", "data.depth_maps", "data.make3d", "data.odometry", "data.trajectories"),
+        *(
+            "data.augmentation",
+            "data.loading",
+            "data.kitti",
+            "data.depth_maps",
+            "data.make3d",
+            "data.mat",
+            "data.odometry",
+            "data.trajectories",
+        ),
     ),
     "tables": ("tables", "paper", "plots", "figures", "evaluation", "data.label_maps", "leaks"),
     "report": ("report", "verdicts", "assumptions"),
@@ -162,7 +171,9 @@ class Run:
     @property
     def allow_leak(self) -> bool:
         """Whether this run may score what was trained on; its results then say so."""
-        return self.sources.exists() and json.loads(self.sources.read_text(encoding="utf-8")).get("allow_leak", False)
+        from dualdepth.preparation import Sources  # which imports this module
+
+        return self.sources.exists() and Sources.load(self).allow_leak
 
     @cached_property
     def _revision(self) -> tuple[str, bool]:

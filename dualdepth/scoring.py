@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import torch
+from pydantic import BaseModel, ValidationError
 
 from dualdepth.atomic import atomic_path, write_json, write_text
 from dualdepth.checkpoints import load_card
 from dualdepth.data.depth_maps import DepthMaps, load_ground_truth
 from dualdepth.data.kitti import Frame, image_path
 from dualdepth.data.label_maps import label_path, read_label_map
+from dualdepth.errors import InputError, first_mistake
 from dualdepth.evaluation import baselines
 from dualdepth.evaluation.depth import evaluate, resized, summary
 from dualdepth.leaks import check_leak
@@ -24,10 +26,31 @@ from dualdepth.results import Run, code_digest, file_digest
 from dualdepth.sections import Evaluation
 
 
+class ScoredList(BaseModel):
+    """What `test_frames.json` says."""
+
+    listed: int
+    """Frames that the list named."""
+    frames: list[Frame]
+    """Those of them that are scored."""
+
+
+def scored_list(run: Run) -> ScoredList:
+    """The frames that are scored and how many were listed (notebook 02).
+
+    Raises:
+        InputError: the file is not there, or is something else.
+    """
+    path = run.require(run.prepared / "test_frames.json", "02_prepare_data")
+    try:
+        return ScoredList.model_validate_json(path.read_bytes())
+    except ValidationError as error:
+        raise InputError(f"{path}: {first_mistake(error)}; run notebook 02_prepare_data again") from None
+
+
 def scored_frames(run: Run) -> list[Frame]:
     """The frames that are scored, in the ground truth's order (notebook 02)."""
-    rows = json.loads(run.require(run.prepared / "test_frames.json", "02_prepare_data").read_text(encoding="utf-8"))
-    return [Frame(*row) for row in rows["frames"]]
+    return scored_list(run).frames
 
 
 def scored_drives(run: Run) -> list[str]:
@@ -37,8 +60,8 @@ def scored_drives(run: Run) -> list[str]:
 
 def scored_note(run: Run) -> str:
     """What a table must say when an incomplete list is scored ("25 of 697"), else nothing."""
-    rows = json.loads(run.require(run.prepared / "test_frames.json", "02_prepare_data").read_text(encoding="utf-8"))
-    return "" if len(rows["frames"]) == rows["listed"] else f"{len(rows['frames'])} of {rows['listed']} frames"
+    found = scored_list(run)
+    return "" if len(found.frames) == found.listed else f"{len(found.frames)} of {found.listed} frames"
 
 
 def truth(run: Run) -> DepthMaps:

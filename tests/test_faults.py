@@ -60,7 +60,10 @@ def test_the_command_finds_the_training_by_the_files_place(trained, monkeypatch,
         path.unlink()
         AcceleratorState._reset_state(reset_partial_state=True)
     assert "step 3: loss was not finite" in capsys.readouterr().out
-    for wrong, said in ((folder / "none.pt", "is not there"), (trained.root / "own.yaml", "not a failure kept by this project")):
+    for wrong, said in (
+        (folder / "none.pt", "is not there"),
+        (trained.root / "own.yaml", "not a failure kept by a training of this project"),
+    ):
         with pytest.raises(SystemExit) as stop:
             main(["replay", str(wrong)])
         assert stop.value.code == 2

@@ -160,7 +160,7 @@ def test_a_card_that_does_not_name_the_whole_network_is_refused_in_one_line(save
         ({"network": "triple"}, "network 'triple' is unknown: choose one of lr, single, dual, hr"),
         ({"network": {"encoder": "resnet50", "hr_size": [192, 288]}}, "network {.*} is unknown"),  # an older card
         ({"link": "wire"}, "link 'wire' is unknown"),
-        ({"hr_size": 192}, "not iterable"),
+        ({"hr_size": 192}, "hr_size 192 is no"),
     ],
     ids=str,
 )

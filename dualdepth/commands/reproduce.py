@@ -92,28 +92,43 @@ def notebook(arguments: argparse.Namespace) -> int:
     Raises:
         InputError: a malformed or unknown parameter, or an error inside that a user can mend.
     """
-    from dualdepth.errors import InputError
     from dualdepth.notebooks import run_notebook
 
-    parameters = {}
-    for pair in arguments.set:
+    run_notebook(arguments.name, arguments.out, parse_parameters(arguments.set))
+    return 0
+
+
+def parse_parameters(pairs: list[str]) -> dict[str, int | str]:
+    """Parameters of `KEY=VALUE` words: whole numbers as such, all else as text, which nothing evaluates.
+
+    Raises:
+        InputError: a word without `=`.
+    """
+    import re
+
+    from dualdepth.errors import InputError
+
+    parameters: dict[str, int | str] = {}
+    for pair in pairs:
         key, equals, value = pair.partition("=")
         if not equals:
             raise InputError(f"parameter {pair!r} is not KEY=VALUE")
-        parameters[key] = int(value) if value.lstrip("-").isdigit() else value
-    run_notebook(arguments.name, arguments.out, parameters)
-    return 0
+        parameters[key] = int(value) if re.fullmatch("-?[0-9]{1,18}", value) else value
+    return parameters
 
 
 def parse_seeds(text: str) -> list[int]:
     """Seeds of `0,1,2`; none of an empty text.
 
     Raises:
-        InputError: something else than whole numbers between commas.
+        InputError: something else than whole numbers from 0 up between commas.
     """
     from dualdepth.errors import InputError
 
     try:
-        return [int(part) for part in text.split(",")] if text else []
+        seeds = [int(part) for part in text.split(",")] if text else []
     except ValueError:
-        raise InputError(f"seeds {text!r}: give whole numbers between commas, such as 0,1,2") from None
+        seeds = [-1]
+    if any(seed < 0 for seed in seeds):
+        raise InputError(f"seeds {text!r}: give whole numbers from 0 up between commas, such as 0,1,2")
+    return seeds

@@ -13,11 +13,18 @@ def add_train(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -
 
 
 def train(arguments: argparse.Namespace) -> int:
-    """Train and say where the weights are."""
+    """Train and say where the weights are.
+
+    Raises:
+        InputError: a negative seed, or what `train_variant` says.
+    """
     from dualdepth import processes
+    from dualdepth.errors import InputError
     from dualdepth.results import Run
     from dualdepth.trainings import train_variant
 
+    if not 0 <= arguments.seed < 2**32:
+        raise InputError(f"--seed {arguments.seed}: give a whole number from 0 to 4294967295")
     weights = train_variant(Run(arguments.profile), arguments.variant, arguments.seed)
     if processes.is_main():
         print(weights)

@@ -4,7 +4,6 @@ Maps are written and read one by one, so that the 697 of the Eigen split need no
 """
 
 import zipfile
-import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -15,6 +14,8 @@ from dualdepth.atomic import atomic_path
 from dualdepth.errors import InputError
 
 FIELD_KEY = "data"
+LARGEST = 4 * 10**9
+"""Bytes that an array may unpack to: a map of the Eigen split takes 1.9 million, all 697 in one array 1.3 thousand million."""
 
 
 def save_ground_truth(path: str | Path, maps: Iterable[np.ndarray], names: Iterable[str] | None = None) -> int:
@@ -105,7 +106,7 @@ def load_ground_truth(path: str | Path, *, allow_pickle: bool = False) -> DepthM
     path = Path(path)
     try:
         archive = np.load(path, allow_pickle=allow_pickle, encoding="latin1") if path.is_file() else None
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+    except Exception as error:  # of numpy, tokenize and zipfile: ten kinds and more
         raise InputError(f"{path}: not a readable npz file ({error}); write it with data_scripts/export_depth.py") from None
     if archive is None:
         raise InputError(f"{path}: no such file; write it with data_scripts/export_depth.py")
@@ -122,11 +123,12 @@ def load_ground_truth(path: str | Path, *, allow_pickle: bool = False) -> DepthM
 
 
 def _member(path: Path, archive: "np.lib.npyio.NpzFile", name: str) -> np.ndarray:
+    announced = max((info.file_size for info in archive.zip.infolist()), default=0)
+    if announced > LARGEST:
+        raise InputError(f"{path}: refused, since it unpacks to {announced / 1e9:.1f} GB; write it with data_scripts/export_depth.py")
     try:
         return archive[name]
-    except ValueError as error:
+    except Exception as error:  # of numpy, zipfile and zlib: ten kinds and more
         if "allow_pickle" in str(error):
             raise InputError(f"{path}: {name} is pickled; pass --allow-pickle if you trust the source of this file") from None
-        raise InputError(f"{path}: {name} cannot be read ({error}); the file is damaged, write it again") from None
-    except (OSError, EOFError, KeyError, zipfile.BadZipFile, zlib.error) as error:
         raise InputError(f"{path}: {name} cannot be read ({error}); the file is damaged, write it again") from None

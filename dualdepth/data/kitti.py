@@ -4,6 +4,7 @@ Layout, as KITTI unpacks: `ROOT/2011_09_26/calib_cam_to_cam.txt`,
 `ROOT/2011_09_26/2011_09_26_drive_0095_sync/image_02/data/0000000000.png` (or .jpg).
 """
 
+import io
 import re
 from pathlib import Path
 from typing import NamedTuple
@@ -43,7 +44,7 @@ def read_frame_list(path: str | Path) -> list[Frame]:
     """
     path = Path(path)
     frames = []
-    for number, line in _lines(path):
+    for number, line in numbered_lines(path):
         match = re.fullmatch(r"(\d{4}_\d{2}_\d{2})/(\1_drive_\d{4}_sync) (\d{1,10})(?: ([lr]))?", line)
         if not match:
             raise InputError(f"{path}, line {number}: {line[:80]!r} is not `date/date_drive_XXXX_sync frame l|r`")
@@ -57,7 +58,7 @@ def read_static_frames(path: str | Path) -> set[tuple[str, int]]:
     """Read the field's list of frames where the camera stands still, as (drive, index): `date date_drive_XXXX_sync index`."""
     path = Path(path)
     static = set()
-    for number, line in _lines(path):
+    for number, line in numbered_lines(path):
         match = re.fullmatch(r"(\d{4}_\d{2}_\d{2}) (\1_drive_\d{4}_sync) (\d{1,10})", line)
         if not match:
             raise InputError(f"{path}, line {number}: {line[:80]!r} is not `date date_drive_XXXX_sync frame`")
@@ -69,7 +70,7 @@ def read_test_scenes(path: str | Path) -> set[str]:
     """Read the drives that hold test frames (`2011_09_26_drive_0117` a line), as `date/date_drive_XXXX_sync`."""
     path = Path(path)
     scenes = set()
-    for number, line in _lines(path):
+    for number, line in numbered_lines(path):
         match = re.fullmatch(r"(\d{4}_\d{2}_\d{2})_drive_\d{4}", line)
         if not match:
             raise InputError(f"{path}, line {number}: {line[:80]!r} is not `date_drive_XXXX`")
@@ -77,10 +78,15 @@ def read_test_scenes(path: str | Path) -> set[str]:
     return scenes
 
 
-def _lines(path: Path) -> list[tuple[int, str]]:
+def numbered_lines(path: Path) -> list[tuple[int, str]]:
+    """Lines of a text file that are not blank, without the space around them, and their numbers from 1.
+
+    Raises:
+        InputError: it cannot be read, or is no text.
+    """
     try:
         text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:  # ValueError: no UTF-8, or a zero byte in the path
         raise InputError(f"{path}: cannot read the list ({error})") from None
     return [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
 
@@ -123,21 +129,51 @@ def read_image(path: str | Path) -> np.ndarray:
     Raises:
         InputError: missing, empty, truncated or no image.
     """
+    image = cv2.imdecode(whole_image(path), cv2.IMREAD_COLOR_RGB)
+    if image is None:
+        raise InputError(f"{path}: not an image that can be decoded; copy or download it again")
+    return image
+
+
+def whole_image(path: str | Path) -> np.ndarray:
+    """Bytes of an image file, checked as far as that goes without decoding it.
+
+    Returns:
+        (N,) uint8.
+
+    Raises:
+        InputError: missing, empty, truncated, no image, with a wrong checksum (PNG), or larger than 179 million pixels.
+    """
     path = Path(path)
     try:
         data = np.fromfile(path, np.uint8)
     except OSError as error:
         raise InputError(f"{path}: cannot read the image ({error.strerror})") from None
-    truncated = (data[:2].tobytes() == b"\xff\xd8" and b"\xff\xd9" not in data[-64:].tobytes()) or (
+    if (data[:2].tobytes() == b"\xff\xd8" and b"\xff\xd9" not in data[-64:].tobytes()) or (
         data[:4].tobytes() == b"\x89PNG" and b"IEND" not in data[-16:].tobytes()
-    )
-    image = None
-    if data.size and not truncated:
-        image = cv2.imdecode(data, cv2.IMREAD_COLOR_RGB)
-    if image is None:
-        what = "truncated" if truncated else "not an image that can be decoded"
-        raise InputError(f"{path}: {what} ({data.size} bytes); copy or download it again")
-    return image
+    ):
+        raise InputError(f"{path}: truncated ({data.size} bytes); copy or download it again")
+    check_image(path, data)
+    return data
+
+
+def check_image(path: str | Path, data: np.ndarray | bytes) -> None:
+    """Refuse what is no image or announces too many pixels, by its header, and a PNG whose checksums are wrong.
+
+    The decoder would tell of the one on stderr as well, and make room for the other.
+
+    Raises:
+        InputError: naming `path`, where the bytes are from.
+    """
+    import PIL.Image
+
+    try:
+        with PIL.Image.open(io.BytesIO(data)) as image:
+            image.verify()
+    except PIL.UnidentifiedImageError:  # whose own message names no file
+        raise InputError(f"{path}: not an image that can be decoded ({len(data)} bytes); copy or download it again") from None
+    except Exception as error:  # Pillow has a kind for each damage
+        raise InputError(f"{path}: not an image that can be decoded ({error}); copy or download it again") from None
 
 
 def read_calibration(path: str | Path) -> dict[str, np.ndarray]:
@@ -151,7 +187,7 @@ def read_calibration(path: str | Path) -> dict[str, np.ndarray]:
     """
     path = Path(path)
     values = {}
-    for _, line in _lines(path):
+    for _, line in numbered_lines(path):
         key, colon, rest = line.partition(":")
         try:
             numbers = np.array([float(x) for x in rest.split()])

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from dualdepth.data.kitti import Frame
+from dualdepth.data.kitti import Frame, check_image
 from dualdepth.errors import InputError
 
 CITYSCAPES = (
@@ -45,10 +45,11 @@ def read_label_map(path: str | Path) -> np.ndarray:
         raise InputError(f"{path}: holds colours; give training ids 0 to 18 (Cityscapes' labelTrainIds), one 8-bit channel")
     if bits != 8:
         raise InputError(f"{path}: has {bits} bits a pixel; give training ids 0 to 18 (Cityscapes' labelTrainIds) in 8 bits")
+    check_image(path, data)
     try:
         with Image.open(io.BytesIO(data)) as image:
             labels = np.array(image)
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+    except (OSError, SyntaxError, ValueError) as error:
         raise InputError(f"{path}: cannot be decoded ({error}); the file is damaged, make it again") from None
     unknown = sorted(set(np.flatnonzero(np.bincount(labels.ravel(), minlength=256)).tolist()) - {*range(len(CITYSCAPES)), IGNORE})
     if unknown:

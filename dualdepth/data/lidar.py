@@ -9,8 +9,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from dualdepth.data.kitti import Frame, calibration_entry, image_path, read_calibration, velodyne_path
+from dualdepth.data.kitti import Frame, calibration_entry, image_path, read_calibration, velodyne_path, whole_image
 from dualdepth.errors import InputError
+
+LARGEST_SIDE = 20_000
+"""Pixels of an image's side that a calibration may announce."""
 
 
 def read_scan(path: str | Path) -> np.ndarray:
@@ -123,15 +126,18 @@ def map_size(root: str | Path, frame: Frame) -> tuple[int, int]:
     path = image_path(root, frame)
     if path is None:
         values, calibration = _calibration(root, frame.date, "calib_cam_to_cam.txt")
-        width, height = calibration_entry(values, f"S_rect_{frame.camera[-2:]}", 2, calibration)
+        key = f"S_rect_{frame.camera[-2:]}"
+        width, height = calibration_entry(values, key, 2, calibration)
+        if not (1 <= width <= LARGEST_SIDE and 1 <= height <= LARGEST_SIDE):
+            raise InputError(f"{calibration}: {key} is {width:g} x {height:g}, which is no size of an image; copy or download it again")
         return int(height), int(width)
     import PIL.Image
 
     try:
         with PIL.Image.open(path) as image:
             return image.height, image.width
-    except (OSError, SyntaxError):
-        raise InputError(f"{path}: not an image that can be read ({path.stat().st_size} bytes); copy or download it again") from None
+    except (OSError, SyntaxError, ValueError, PIL.Image.DecompressionBombError) as error:
+        raise InputError(f"{path}: not an image that can be read ({error}); copy or download it again") from None
 
 
 def improved_path(root: str | Path, frame: Frame) -> Path | None:
@@ -156,8 +162,7 @@ def improved_ground_truth(root: str | Path, frame: Frame) -> np.ndarray:
     path = improved_path(root, frame)
     if path is None:
         raise InputError(f"{root}: has no proj_depth/groundtruth map of {frame}; give the folder that data_depth_annotated.zip unpacks to")
-    data = np.fromfile(path, np.uint8)
-    values = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    values = cv2.imdecode(whole_image(path), cv2.IMREAD_UNCHANGED)
     if values is None or values.dtype != np.uint16 or values.ndim != 2:
-        raise InputError(f"{path}: not a 16-bit depth PNG ({data.size} bytes); copy or download it again")
+        raise InputError(f"{path}: not a 16-bit depth PNG; copy or download it again")
     return values.astype(np.float32) / 256

@@ -11,7 +11,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from dualdepth.data.kitti import read_image
+from dualdepth.data.kitti import check_image, read_image
+from dualdepth.data.mat import read_mat
 from dualdepth.errors import InputError
 
 PHOTO_FOLDERS = ("Test134", "Test134Img")
@@ -72,20 +73,16 @@ def read_grid(path: str | Path) -> np.ndarray:
     Raises:
         InputError: missing, no `.mat` file, or one without `Position3DGrid` of shape (55, 305, 4).
     """
-    from scipy.io import loadmat
-
     path = Path(path)
     try:
-        values = loadmat(path, variable_names=[GRID_KEY])
+        points = read_mat(path, GRID_KEY)
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such laser grid; unpack the archive of the grids anew") from None
-    except Exception as error:  # whatever scipy makes of a damaged file: ten kinds and more
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise InputError(f"{path}: not a .mat file that can be read ({reason}); copy or download it again") from None
-    if GRID_KEY not in values:
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: not a .mat file that can be read ({error}); copy or download it again") from None
+    if points is None:
         raise InputError(f"{path}: holds no {GRID_KEY}; give the laser grids of Make3D's test set")
-    points = values[GRID_KEY]
-    if points.shape != (*GRID_SHAPE, 4) or points.dtype.kind not in "fiu":
+    if points.shape != (*GRID_SHAPE, 4):
         raise InputError(f"{path}: {GRID_KEY} is {points.dtype} of shape {points.shape}; expected numbers of shape {(*GRID_SHAPE, 4)}")
     return points[..., 3].astype(np.float64)
 
@@ -103,7 +100,11 @@ def read_photo(path: str | Path) -> np.ndarray:
     if not is_truncated(path):
         return read_image(path)
     data = np.frombuffer(path.read_bytes() + END_OF_JPEG, np.uint8)
-    photo = cv2.imdecode(data, cv2.IMREAD_COLOR_RGB)
+    try:
+        check_image(path, data)
+        photo = cv2.imdecode(data, cv2.IMREAD_COLOR_RGB)
+    except InputError:  # not even the header is left
+        photo = None
     # the decoder fills with mid-grey what it has no data for
     if photo is None or (photo == 128).all(axis=(1, 2)).mean() > 1 - LEAST_LEFT:
         raise InputError(f"{path}: truncated, less than half of the photo is there ({data.size - 2} bytes); copy or download it again")

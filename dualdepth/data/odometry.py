@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from dualdepth.atomic import atomic_path
-from dualdepth.data.kitti import SUFFIXES, calibration_entry, read_calibration
+from dualdepth.data.kitti import SUFFIXES, calibration_entry, numbered_lines, read_calibration
 from dualdepth.data.triplets import Triplet
 from dualdepth.errors import InputError
 
@@ -60,7 +60,7 @@ def frame_files(root: str | Path, entry: str) -> dict[int, Path]:
     name, camera = sequence_of(entry)
     folder = Path(root) / "sequences" / name / camera
     files = [e.name for e in os.scandir(folder) if Path(e.name).suffix in SUFFIXES] if folder.is_dir() else []
-    numbered = {int(Path(f).stem): folder / f for f in files if Path(f).stem.isdigit()}
+    numbered = {int(Path(f).stem): folder / f for f in files if Path(f).stem.isdecimal()}
     if not numbered:
         there = sorted(p.name for p in folder.parent.glob("image_*") if p.is_dir())
         hint = f"; there is {' and '.join(there)}, say `{name}:{there[0]}`" if there else "; download the sequence first"
@@ -81,8 +81,8 @@ def sequence_intrinsics(root: str | Path, entry: str) -> np.ndarray:
     path = folder / "calib.txt"
     bare = folder / "calib_p0_p1.txt"
     if not path.is_file() and bare.is_file():
-        path, rows = bare, bare.read_text(encoding="utf-8").splitlines()
-        values = {f"P{k}": _numbers(row) for k, row in enumerate(rows) if row.strip()}
+        path = bare
+        values = {f"P{line - 1}": _numbers(row) for line, row in numbered_lines(bare)}
     else:
         values = read_calibration(path)
     return calibration_entry(values, f"P{number}", 12, path).reshape(3, 4)[:, :3].copy()
@@ -159,6 +159,6 @@ def load_odometry_triplets(path: str | Path, root: str | Path) -> tuple[list[Tri
                 name = f"odometry/{row['sequence']}/{row['camera']}/{int(row['index']):06d}"
                 triplets.append(Triplet(name, paths, np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])))
                 sequences.append(row["sequence"])
-    except (OSError, KeyError, TypeError, ValueError) as error:
+    except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
         raise InputError(f"{path}: no list of prepared odometry triplets ({error!r}); run notebook 02_prepare_data") from None
     return triplets, sorted(set(sequences))

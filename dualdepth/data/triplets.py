@@ -65,7 +65,7 @@ def _frames_of(drive: Path, cameras: Sequence[str]) -> tuple[str, set[int]]:
         folder = drive / camera / "data"
         if folder.is_dir():
             stems = {e.name.split(".")[0] for e in os.scandir(folder) if Path(e.name).suffix in SUFFIXES}
-            indices = {int(s) for s in stems if s.isdigit()}
+            indices = {int(s) for s in stems if s.isdecimal()}
             if indices:
                 return camera, indices
     return cameras[0], set()
@@ -134,7 +134,7 @@ def read_targets(path: str | Path) -> list[tuple[Frame, str]]:
     try:
         with open(path, newline="", encoding="utf-8") as file:
             return [(Frame(r["drive"], int(r["index"]), r["camera"]), r["suffix"]) for r in csv.DictReader(file)]
-    except (OSError, KeyError, TypeError, ValueError) as error:
+    except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
         raise InputError(f"{path}: no list of prepared targets ({error!r}); run notebook 02_prepare_data") from None
 
 

@@ -22,12 +22,14 @@ from dualdepth.data.download import disk_error, require_space
 from dualdepth.errors import InputError
 
 CHUNK = 1 << 20
-DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError)
+DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError, LookupError)
 """What `zipfile` raises for a truncated, corrupted, encrypted or exotic archive."""
 DAMAGED_TAR = (tarfile.TarError, gzip.BadGzipFile, zlib.error, EOFError, ValueError, OverflowError)
 """What `tarfile` and `gzip` raise for one."""
 TAR_LIMIT = 4 * 10**9
 """Bytes that a gzipped tar may unpack to, whatever it announces: one of few megabytes can hold terabytes of zeros."""
+SWELLING, MOST_OF_SMALL = 50, 10**8
+"""How many times its own size a zip may unpack to, above so many bytes; KITTI's images, scans and texts stay far below."""
 
 
 class BadArchiveError(InputError):
@@ -61,6 +63,10 @@ def unpack(archive: str | Path, folder: str | Path, place: Callable[[str], str |
             members = [(info, _zip_target(info, archive, place)) for info in zipped.infolist() if not info.is_dir()]
             kept = [info for info, target in members if target is not None]
             size = sum(info.file_size for info in kept)
+            if size > max(MOST_OF_SMALL, SWELLING * archive.stat().st_size):
+                raise BadArchiveError(
+                    f"{archive}: refused, since it unpacks to {size / 1e9:.1f} GB, more than {SWELLING} times its own size"
+                )
             require_space(folder, size, f"unpacking {archive.name}")
             if bar is not None:
                 bar.reset(sum(info.file_size for info, _ in members))

@@ -21,7 +21,7 @@ def load_predictions(path: str | Path) -> np.ndarray:
         raise InputError(f"{path}: no such file; give a .npy file with an (N, h, w) float array")
     try:
         values = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
+    except Exception as error:  # of numpy, tokenize and zipfile: ten kinds and more
         raise InputError(f"{path}: not a readable .npy file, or truncated ({error}); write it with numpy.save") from None
     if not isinstance(values, np.ndarray):
         raise InputError(f"{path}: an archive of arrays; give a .npy file with one (N, h, w) float array")

@@ -1,0 +1,135 @@
+"""Every bad input ends in exit code 2 and one line that names the file, and leaves nothing behind; what is only odd works."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from bad_inputs import CASES, Case
+from loopback import running
+from worlds import SERVED, WORLDS
+
+from data_scripts import download_make3d
+from dualdepth.cli import main
+from dualdepth.commands.reproduce import parse_seeds
+from dualdepth.data import download
+from dualdepth.errors import InputError
+
+REPOSITORY = Path(__file__).parents[2]
+LOGS = ("log.csv", "events.out.tfevents", "panels")
+"""What a training writes before it reads its first frame."""
+
+
+@pytest.fixture(autouse=True)
+def quiet_torch():
+    """Each training decides precision and determinism for itself."""
+    yield
+    if "accelerate" in sys.modules:
+        import torch
+        from accelerate.state import AcceleratorState
+
+        AcceleratorState._reset_state(reset_partial_state=True)
+        torch.use_deterministic_algorithms(False)
+
+
+@pytest.fixture
+def server(monkeypatch):
+    monkeypatch.setenv("no_proxy", "127.0.0.1")
+    monkeypatch.setattr(download, "PAUSES", (0.0, 0.0))
+    monkeypatch.setattr(download_make3d, "MAKE3D_PHOTOS", 1)
+    with running() as loopback:
+        yield loopback
+
+
+def call_of(case: Case, folder: Path, server):
+    """The command of a case, with its one file damaged."""
+    if case.world in SERVED:
+        call = SERVED[case.world](folder, server)
+        server.files[case.file] = case.damage(server.files[case.file])
+        return call
+    call = WORLDS[case.world](folder)
+    path = folder / case.file
+    content = case.damage(path.read_bytes() if path.exists() else b"")
+    if content is None:
+        path.unlink()
+    else:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    return call
+
+
+def files(folder: Path) -> set[str]:
+    """All files but a training's logs."""
+    found = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+    return {name for name in found if not any(log in name for log in LOGS)}
+
+
+def lines(err: str) -> list[str]:
+    """Lines on stderr that are no progress bar."""
+    return [line for line in err.replace("\r", "\n").splitlines() if line.strip() and "%|" not in line]
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case.world}-{Path(case.file).name}-{case.what}".replace(" ", "_"))
+def test_the_table(case, tmp_path, monkeypatch, server, capfd, recwarn, counted):
+    monkeypatch.chdir(tmp_path)
+    call = call_of(case, tmp_path, server)
+    before = files(tmp_path)
+    capfd.readouterr()
+    recwarn.clear()
+    with counted():
+        if case.works:
+            assert call() == 0
+            return
+        with pytest.raises(SystemExit) as stop:
+            call()
+        said = lines(capfd.readouterr().err)
+        warned = [w.message for w in recwarn.list if not issubclass(w.category, (ResourceWarning, pytest.PytestUnraisableExceptionWarning))]
+        assert stop.value.code == 2 and not warned
+        assert len(said) == 1 and said[0].startswith("error: "), said
+        assert (case.named or Path(case.file).name) in said[0]
+        assert {name for name in files(tmp_path) - before if not name.startswith(case.leaves)} == set() and before <= files(tmp_path)
+
+
+@pytest.mark.parametrize("world", [*WORLDS, *SERVED])
+def test_folders_with_spaces_and_other_letters_work(world, tmp_path, monkeypatch, server, counted):
+    folder = tmp_path / "mein Ordner ñ 深度 'x'"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    with counted():
+        assert (SERVED[world](folder, server) if world in SERVED else WORLDS[world](folder))() == 0
+
+
+def test_the_table_is_long_and_names_no_case_twice():
+    bad = {(case.world, case.file, case.what) for case in CASES if not case.works}
+    assert len(bad) >= 60 and len(bad) == sum(not case.works for case in CASES)
+
+
+@pytest.mark.parametrize(
+    "world, file, command",
+    [
+        ("depth", "G.npz", ["-m", "dualdepth.cli", "evaluate", "depth", "--pred", "P.npy", "--gt", "G.npz"]),
+        (
+            "scans",
+            "list.txt",
+            [str(REPOSITORY / "data_scripts/export_depth.py"), "--kitti", "kitti", "--list", "list.txt", "--out", "out.npz"],
+        ),
+        ("PNG frames", "own.yaml", ["-m", "dualdepth.cli", "train", "--profile", "own.yaml"]),
+    ],
+)
+def test_as_a_process(world, file, command, tmp_path, monkeypatch, counted):
+    monkeypatch.chdir(tmp_path)
+    WORLDS[world](tmp_path)
+    (tmp_path / file).write_bytes(b"\xff\xfe damaged")
+    with counted():
+        done = subprocess.run([sys.executable, *command], capture_output=True, text=True, check=False)
+        assert done.returncode == 2 and done.stdout == ""
+        assert len(done.stderr.splitlines()) == 1 and done.stderr.startswith("error: ") and file in done.stderr
+
+
+@pytest.mark.parametrize("seed", ["-1", "4294967296"])
+def test_a_seed_that_is_none_is_refused(seed, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["train", "--seed", seed])
+    assert stop.value.code == 2 and capsys.readouterr().err == f"error: --seed {seed}: give a whole number from 0 to 4294967295\n"
+    with pytest.raises(InputError, match="from 0 up"):
+        parse_seeds("0,-1")

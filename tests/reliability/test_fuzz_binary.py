@@ -1,0 +1,239 @@
+"""No bytes make a reader of images, arrays, archives or weights do anything but give a value or refuse with one line."""
+
+import io
+import json
+import shutil
+import tarfile
+import zipfile
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+from PIL import Image
+from scipy.io import savemat
+from strategies import FUZZ, bytes_of, values_of
+
+from dualdepth import predict
+from dualdepth.checkpoints import load_card, load_checkpoint, load_weights, save_checkpoint, save_weights
+from dualdepth.data import lidar, make3d
+from dualdepth.data.depth_maps import load_ground_truth, save_ground_truth
+from dualdepth.data.kitti import Frame, read_image
+from dualdepth.data.label_maps import read_label_map
+from dualdepth.data.unpacking import unpack, unpack_tar
+from dualdepth.errors import InputError
+from dualdepth.evaluation.depth import evaluate, summary
+from dualdepth.evaluation.predictions import load_predictions
+
+pytestmark = pytest.mark.fuzz
+
+DRIVE = "2011_09_26/2011_09_26_drive_0001_sync"
+PICTURE = np.random.default_rng(0).integers(0, 255, (12, 16, 3), np.uint8)
+PROJECTION = np.array([[8.0, 0, 8, 0], [0, 8, 6, 0], [0, 0, 1, 0]]) @ np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+
+
+def encoded(picture, suffix=".png", **settings) -> bytes:
+    buffer = io.BytesIO()
+    Image.fromarray(picture).save(buffer, suffix[1:].replace("jpg", "jpeg"), **settings)
+    return buffer.getvalue()
+
+
+def npy() -> bytes:
+    buffer = io.BytesIO()
+    np.save(buffer, np.ones((2, 3, 4), np.float32))
+    return buffer.getvalue()
+
+
+def npz(folder: Path) -> bytes:
+    save_ground_truth(folder / "whole.npz", [np.full((3, 4), 5, np.float32)] * 2)
+    return (folder / "whole.npz").read_bytes()
+
+
+def field_npz(_: Path) -> bytes:
+    buffer = io.BytesIO()
+    np.savez(buffer, data=np.ones((2, 3, 4), np.float32))
+    return buffer.getvalue()
+
+
+def mat(compressed: bool) -> bytes:
+    buffer = io.BytesIO()
+    savemat(buffer, {make3d.GRID_KEY: np.ones((2, 3, 4))}, do_compression=compressed)
+    return buffer.getvalue()
+
+
+def zipped(method: int) -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", method) as archive:
+        for name in ("a.txt", "b/c.bin"):
+            archive.writestr(name, b"content " * 20)
+    return buffer.getvalue()
+
+
+def tarred() -> bytes:
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode="w:gz") as tar:
+        info = tarfile.TarInfo("b/c.bin")
+        info.size = 160
+        tar.addfile(info, io.BytesIO(b"content " * 20))
+    return buffer.getvalue()
+
+
+def network() -> torch.nn.Module:
+    return torch.nn.Sequential(torch.nn.Linear(2, 2), torch.nn.BatchNorm1d(2))
+
+
+def checkpoint(folder: Path) -> bytes:
+    model = network()
+    save_checkpoint(folder / "whole.pt", recipe="r", step=1, model=model, optimizer=torch.optim.Adam(model.parameters()))
+    return (folder / "whole.pt").read_bytes()
+
+
+def weights(folder: Path) -> bytes:
+    save_weights(folder / "damaged.safetensors", network(), {})
+    return (folder / "damaged.safetensors").read_bytes()
+
+
+def read_weights(path: Path) -> None:
+    path = path.rename(path.with_suffix(".safetensors"))
+    card = path.with_suffix(".json")
+    card.write_text(json.dumps({"sha256": predict_digest(path)}))  # whoever damages weights may also write a card
+    load_weights(path, network())
+
+
+def predict_digest(path: Path) -> str:
+    import hashlib
+
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def read_scan(path: Path) -> None:
+    lidar.depth_from_scan(lidar.read_scan(path), PROJECTION, (12, 16))
+
+
+def header(path: Path) -> None:
+    image = path.parent / DRIVE / "image_02/data/0000000000.png"
+    image.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copy(path, image)
+    lidar.map_size(path.parent, Frame(DRIVE, 0))
+
+
+def improved(path: Path) -> None:
+    image = path.parent / "val/2011_09_26_drive_0001_sync/proj_depth/groundtruth/image_02/0000000000.png"
+    image.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copy(path, image)
+    lidar.improved_ground_truth(path.parent, Frame(DRIVE, 0))
+
+
+def extract(path: Path, how) -> None:
+    folder = path.parent / "out"
+    shutil.rmtree(folder, ignore_errors=True)
+    try:
+        how(path, folder)
+    except InputError:
+        assert not [p for p in folder.rglob("*") if p.is_file()]
+        raise
+    assert all(p.resolve().is_relative_to(path.parent) for p in folder.rglob("*"))
+    assert {p.name for p in path.parent.iterdir()} <= {"damaged", "out"}
+
+
+DEPTH16 = np.full((12, 16), 2560, np.uint16)
+LABELS = np.tile(np.arange(16, dtype=np.uint8), (12, 1))
+FILES = {
+    "PNG": (encoded(PICTURE), read_image),
+    "grey PNG": (encoded(PICTURE[..., 0]), read_image),
+    "16-bit PNG": (encoded(DEPTH16), read_image),
+    "PNG of a palette": (encoded(LABELS), read_image),
+    "JPEG": (encoded(PICTURE, ".jpg"), read_image),
+    "progressive JPEG": (encoded(PICTURE, ".jpg", progressive=True), read_image),
+    "size of a PNG": (encoded(PICTURE), header),
+    "size of a JPEG": (encoded(PICTURE, ".jpg"), header),
+    "improved depth": (encoded(DEPTH16), improved),
+    "label map": (encoded(LABELS), read_label_map),
+    "photo": (encoded(PICTURE, ".jpg"), make3d.read_photo),
+    "laser scan": (np.random.default_rng(0).uniform(-5, 5, (40, 4)).astype("<f4").tobytes(), read_scan),
+    "predictions": (npy(), lambda p: evaluate(load_predictions(p), [np.full((3, 4), 5.0)] * 2, crop="none")),
+    "ground truth": (npz, lambda p: list(load_ground_truth(p))),
+    "ground truth in one array": (field_npz, lambda p: list(load_ground_truth(p))),
+    "laser grid": (mat(False), make3d.read_grid),
+    "compressed laser grid": (mat(True), make3d.read_grid),
+    "zip, stored": (zipped(zipfile.ZIP_STORED), lambda p: extract(p, unpack)),
+    "zip, deflated": (zipped(zipfile.ZIP_DEFLATED), lambda p: extract(p, unpack)),
+    "tar.gz": (tarred(), lambda p: extract(p, unpack_tar)),
+    "checkpoint": (checkpoint, load_checkpoint),
+    "weights": (weights, read_weights),
+}
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("parser", FILES)
+def test_damaged_file(parser, tmp_path, counted):
+    whole, read = FILES[parser]
+    whole = whole if isinstance(whole, bytes) else whole(tmp_path)
+    folder = tmp_path / "one"
+
+    @FUZZ
+    @given(bytes_of(whole))
+    def try_one(content):
+        folder.mkdir(exist_ok=True)
+        path = folder / "damaged"
+        path.write_bytes(content)
+        with counted():
+            try:
+                read(path)
+            except InputError as error:
+                assert str(error)
+
+    try_one()
+
+
+@pytest.mark.parametrize("kind", ["depth", "disparity"])
+@pytest.mark.parametrize("resize", ["depth", "disparity"])
+@pytest.mark.filterwarnings("ignore")
+def test_any_floats_as_predictions(kind, resize, counted):
+    shapes = st.tuples(st.just(1), st.integers(1, 3), st.integers(1, 3))
+    floats = st.sampled_from([np.float16, np.float32, np.float64, np.dtype(">f4"), np.longdouble])
+
+    @FUZZ
+    @given(arrays.arrays(floats, shapes), arrays.arrays(np.float32, st.tuples(st.integers(1, 4), st.integers(1, 4))), st.booleans())
+    def try_one(prediction, truth, scaled):
+        with counted():
+            try:
+                result = summary(evaluate(prediction, [truth], crop="none", kind=kind, resize=resize, median_scaling=scaled))
+            except InputError as error:
+                assert str(error)
+            else:
+                assert all(np.isfinite(value) for value in result.values())
+
+    try_one()
+
+
+def test_cards_of_networks(tmp_path, monkeypatch, counted):
+    monkeypatch.setattr("dualdepth.networks.architecture.Architecture.build", lambda self, pretrained=False: network())
+    monkeypatch.setattr(predict, "PoseNet", network)
+    whole = {**predict.Architecture("lr", "resnet18").words(), "hr_size": [192, 192]}
+    save_weights(
+        tmp_path / "w.safetensors",
+        SimpleNamespace(state_dict=lambda: network().state_dict(prefix="depth_net.") | network().state_dict(prefix="pose_net.")),
+        whole,
+    )
+    digest = load_card(tmp_path / "w.safetensors")["sha256"]
+    assert predict.load_depth_net(tmp_path / "w.safetensors").hr_size == (192, 192)
+
+    @FUZZ
+    @given(values_of(whole))
+    def try_one(value):
+        (tmp_path / "w.json").write_text(json.dumps(value | {"sha256": digest} if isinstance(value, dict) else value))
+        with counted():
+            for load in (predict.load_depth_net, predict.load_pose_net):
+                try:
+                    height, width = load(tmp_path / "w.safetensors").hr_size
+                except InputError as error:
+                    assert str(error)
+                else:
+                    assert 0 < height <= 10**8 and 0 < width <= 10**8
+
+    try_one()

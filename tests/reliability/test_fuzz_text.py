@@ -1,0 +1,231 @@
+"""No text makes a reader of text do anything but give a value or refuse with one line."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+from strategies import FUZZ, bytes_of, values_of
+
+from data_scripts import download_kitti, download_make3d
+from dualdepth.checkpoints import load_card
+from dualdepth.commands.reproduce import parse_parameters, parse_seeds
+from dualdepth.config import load_profile
+from dualdepth.data import kitti, sources
+from dualdepth.data.lidar import map_size, velodyne_projection
+from dualdepth.data.odometry import COLUMNS, frame_files, load_odometry_triplets, sequence_intrinsics
+from dualdepth.data.trajectories import paired, read_trajectory
+from dualdepth.data.triplets import drive_triplets, load_triplets
+from dualdepth.errors import InputError
+from dualdepth.evaluation.odometry import trajectory_errors
+from dualdepth.leaks import check_leak
+from dualdepth.preparation import Sources
+from dualdepth.results import Run
+from dualdepth.scoring import scored_frames
+
+pytestmark = pytest.mark.fuzz
+
+DAY, DRIVE = "2011_09_26", "2011_09_26/2011_09_26_drive_0001_sync"
+NUMBERS = "2.2e+02 0 104 0 0 220 104 0 0 0 1 0"
+CAMERAS = f"calib_time: 09-Jan-2012 13:57:47\nS_rect_02: 8 6\nR_rect_00: 1 0 0 0 1 0 0 0 1\nP_rect_02: {NUMBERS}\n".encode()
+LASER = b"R: 0 -1 0 0 0 -1 1 0 0\nT: 0 0 -0.27\n"
+LIST = f"{DRIVE} 0000000007 l\n{DRIVE} 0000000003 r\n{DRIVE} 12\n".encode()
+POSES = "".join(f"1 0 0 {k} 0 1 0 0 0 0 1 {k}e-1\n" for k in range(6)).encode()
+NUMBERED = "".join(f"{k} 1 0 0 {k} 0 1 0 0 0 0 1 0\n" for k in (0, 1, 2, 5, 6)).encode()
+TARGETS = f"drive,camera,index,suffix\n{DRIVE},image_02,1,.png\n{DRIVE},image_02,2,.jpg\n".encode()
+ODOMETRY = (",".join(COLUMNS) + "\n00,image_2,1,000000.png,000001.png,000002.png,220,220,104,104\n").encode()
+
+
+def calibration(folder: Path, name: str) -> None:
+    """The other calibration file of the day is a good one."""
+    day = folder / DAY
+    day.mkdir(exist_ok=True)
+    (day / "calib_cam_to_cam.txt").write_bytes(CAMERAS)
+    (day / "calib_velo_to_cam.txt").write_bytes(LASER)
+    (folder / "damaged").replace(day / name)
+
+
+def laser_calibration(folder: Path, name: str) -> None:
+    calibration(folder, name)
+    velodyne_projection(folder, DAY)
+    height, width = map_size(folder, kitti.Frame(DRIVE, 0))
+    np.zeros((height, width))
+
+
+def odometry_calibration(folder: Path, name: str) -> None:
+    (folder / "sequences/00").mkdir(parents=True, exist_ok=True)
+    (folder / "damaged").replace(folder / "sequences/00" / name)
+    sequence_intrinsics(folder, "00:image_0")
+
+
+def trajectory(folder: Path) -> None:
+    whole = folder / "whole.txt"
+    whole.write_bytes(POSES)
+    prediction, truth = read_trajectory(folder / "damaged"), read_trajectory(whole)
+    paired(prediction, truth)
+    trajectory_errors(truth, prediction, "7dof")
+
+
+def triplets(folder: Path) -> None:
+    (folder / DAY).mkdir(exist_ok=True)
+    (folder / DAY / "calib_cam_to_cam.txt").write_bytes(CAMERAS)
+    load_triplets(folder / "damaged", folder)
+
+
+TEXTS = {
+    "frame list": (LIST, lambda f: kitti.read_frame_list(f / "damaged")),
+    "static frames": (b"2011_09_26 2011_09_26_drive_0001_sync 0000000005\n" * 2, lambda f: kitti.read_static_frames(f / "damaged")),
+    "test scenes": (b"2011_09_26_drive_0001\n2011_09_28_drive_0002\n", lambda f: kitti.read_test_scenes(f / "damaged")),
+    "calib_cam_to_cam": (CAMERAS, lambda f: laser_calibration(f, "calib_cam_to_cam.txt")),
+    "calib_velo_to_cam": (LASER, lambda f: laser_calibration(f, "calib_velo_to_cam.txt")),
+    "odometry calib": (f"P0: {NUMBERS}\nP1: {NUMBERS}\n".encode(), lambda f: odometry_calibration(f, "calib.txt")),
+    "odometry calib of two rows": (f"{NUMBERS}\n{NUMBERS}\n".encode(), lambda f: odometry_calibration(f, "calib_p0_p1.txt")),
+    "poses": (POSES, trajectory),
+    "numbered poses": (NUMBERED, trajectory),
+    "prepared triplets": (TARGETS, triplets),
+    "prepared odometry": (ODOMETRY, lambda f: load_odometry_triplets(f / "damaged", f)),
+    "profile as text": (
+        (Path(kitti.__file__).parents[1] / "profiles/tiny.yaml").read_bytes(),
+        lambda f: load_profile(str((f / "damaged").rename(f / "own.yaml"))),
+    ),
+    "card as text": (b'{"network": "lr", "drives": ["a"], "sha256": "0"}', lambda f: load_card((f / "damaged").rename(f / "w.json"))),
+}
+
+
+@pytest.mark.parametrize("parser", TEXTS)
+def test_damaged_text(parser, tmp_path, counted):
+    whole, read = TEXTS[parser]
+    (tmp_path / "damaged").write_bytes(whole)
+    read(tmp_path)  # what is not damaged is read
+
+    @FUZZ
+    @given(bytes_of(whole, words=True))
+    def try_one(content):
+        with counted():
+            (tmp_path / "damaged").write_bytes(content)
+            try:
+                read(tmp_path)
+            except InputError as error:
+                assert str(error)
+
+    try_one()
+
+
+def run_in(folder: Path) -> Run:
+    """A run of a project folder, whose work files are to be damaged."""
+    (folder / "own.yaml").write_text(f"about: a test\ndata: {{source: kitti, train_drives: [{DRIVE}]}}\n")
+    run = Run(str(folder / "own.yaml"), folder)
+    run.prepared.mkdir(parents=True, exist_ok=True)
+    return run
+
+
+def profile(folder: Path, value) -> None:
+    (folder / "own.yaml").write_text(yaml.safe_dump(value, allow_unicode=True))
+    load_profile(str(folder / "own.yaml"))
+
+
+def found_sources(folder: Path, value) -> None:
+    run = run_in(folder)
+    run.sources.write_text(json.dumps(value))
+    found = Sources.load(run)
+    assert isinstance(found.kitti_root, Path) and isinstance(found.train_drives, tuple)
+    assert run.allow_leak in (True, False)
+
+
+def frames_to_score(folder: Path, value) -> None:
+    run = run_in(folder)
+    (run.prepared / "test_frames.json").write_text(json.dumps(value))
+    for frame in scored_frames(run):
+        str(frame)
+
+
+def card(folder: Path, value) -> None:
+    (folder / "w.json").write_text(json.dumps(value))
+    check_leak(load_card(folder / "w.safetensors"), ["a", DRIVE], allow=True)
+
+
+def marker(folder: Path, value) -> None:
+    archive, photos = sources.ODOMETRY[0], sources.MAKE3D[0]
+    for path in (folder / archive.marker, folder / photos.marker):
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(json.dumps(value))
+    download_kitti.is_complete(archive, folder, sources.CAMERAS)
+    download_make3d.is_complete(photos, folder)
+
+
+VALUES = {
+    "profile": (yaml.safe_load((Path(kitti.__file__).parents[1] / "profiles/paper.yaml").read_text()), profile),
+    "profile with variants": (
+        {
+            "about": "a test",
+            "data": {"source": "kitti", "train_drives": [DRIVE]},
+            "train": {"lr": {"training.lr.max_steps": 1}, "mine": None},
+            "variants": {"mine": {"label": "m", "about": "m", "network": "dual", "starts_from": "lr", "set": {"training.hr.max_steps": 6}}},
+        },
+        profile,
+    ),
+    "sources.json": (
+        {"kitti_root": "/k", "test_list": "/l", "train_drives": ["a"], "labels_root": None, "allow_leak": False},
+        found_sources,
+    ),
+    "test_frames.json": ({"listed": 2, "frames": [[DRIVE, 1, "image_02"], [DRIVE, 2, "image_02"]]}, frames_to_score),
+    "card": ({"network": "lr", "encoder": "resnet18", "drives": ["a"], "hr_size": [192, 192], "sha256": "0"}, card),
+    "marker of an archive": ({"archive": "Test134.tar.gz", "cameras": ["image_02"], "files": 3}, marker),
+}
+
+
+@pytest.mark.parametrize("parser", VALUES)
+def test_damaged_values(parser, tmp_path, counted):
+    whole, read = VALUES[parser]
+    read(tmp_path, whole)
+
+    @FUZZ
+    @given(values_of(whole))
+    def try_one(value):
+        with counted():
+            try:
+                read(tmp_path, value)
+            except InputError as error:
+                assert str(error)
+
+    try_one()
+
+
+ODD = st.text(max_size=12) | st.from_regex(r"-{0,3}[0-9²٣,_ ]{1,6}") | st.just("9" * 5000)
+FILE_NAMES = st.lists(st.sampled_from(["0000000001", "²", "٣", "1.5", "-1", "ñ ö", "", "9" * 200, "1"]), max_size=4)
+
+
+@pytest.mark.parametrize("parse", [parse_seeds, lambda text: sources.drive_archives([text]), lambda text: parse_parameters([text])])
+def test_odd_words_of_the_command_line(parse, counted):
+    @FUZZ
+    @given(ODD | ODD.map(lambda text: f"seed={text}"))
+    def try_one(text):
+        with counted():
+            try:
+                parse(text)
+            except InputError as error:
+                assert str(error)
+
+    try_one()
+
+
+def test_odd_names_of_files_in_a_folder_of_frames(tmp_path_factory, counted):
+    @FUZZ
+    @given(FILE_NAMES, st.sampled_from([".png", ".jpg", ".txt"]))
+    def try_one(stems, suffix):
+        root = tmp_path_factory.mktemp("root")
+        for folder in (root / DRIVE / "image_02/data", root / "sequences/00/image_2"):
+            folder.mkdir(parents=True)
+            for stem in stems:
+                (folder / f"{stem}{suffix}").touch()
+        with counted():
+            for read in (lambda: drive_triplets(root, [DRIVE]), lambda: frame_files(root, "00")):
+                try:
+                    read()
+                except InputError as error:
+                    assert str(error)
+
+    try_one()
