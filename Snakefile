@@ -55,6 +55,10 @@ wildcard_constraints:
     seed=r"\d+",
 
 
+# compute nodes of a cluster may have no network
+localrules: quickstart, download_data
+
+
 rule all:
     input:
         expand(f"{RESULTS}/notebooks/{{page}}.ipynb", page=["00_quickstart", "01_download_data", "02_prepare_data", *PAGES, "14_report"]),

@@ -155,3 +155,11 @@ def test_replaced_files_of_a_folder_make_their_page_stale(chain, tmp_path):
     assert chain(given) == []
     (grids / "a.mat").write_text("another")
     assert chain(given) == ["06_table_make3d", "14_report"]
+
+
+def test_the_cluster_profile_is_one_that_snakemake_takes(chain):
+    """A dry run; the SLURM plugin itself is not installed here."""
+    settings = project_root() / "cluster" / "slurm"
+    assert "executor: slurm" in (settings / "config.yaml").read_text()
+    assert chain("--profile", str(settings), "--executor", "local", "--dry-run") == []
+    assert chain() != []  # it had only been planned
