@@ -4,8 +4,8 @@
     python experiments/poles.py teacher        # an hour on one core
 
 Both render streets that are used nowhere else. `objective` moves the poles in the exact depth, step by step, from their background's depth
-to their own, and prints what becomes of the losses. `teacher` trains LR-Net and then HR-Net with exact depth instead of view synthesis, as
-long as the profile does, and prints the depth errors of poles.
+to their own, and prints what becomes of the losses. `teacher` trains LR-Net and then HR-Net with exact depth instead of view synthesis,
+and prints the depth errors of poles.
 """
 
 import argparse
@@ -24,7 +24,7 @@ from tqdm import tqdm
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from data_scripts.miniature import formats
-from data_scripts.miniature.drives import drive
+from data_scripts.miniature.drives import PERIOD, drive
 from data_scripts.miniature.plan import RAW
 from data_scripts.miniature.render import render_geometry, render_image
 from data_scripts.miniature.scene import build_scene
@@ -59,9 +59,8 @@ def shots(profile: Profile, seed: int, streets: int, moments: range) -> Iterator
     matrix = resize_intrinsics(torch.from_numpy(formats.intrinsics(world.size)), size[1] / world.size[1], size[0] / world.size[0]).numpy()
     for number in tqdm(range(streets), desc="rendering streets"):
         frames = moments.stop + 2
-        plan = Plan(
-            (seed, RAW, number), 1.3 * frames * world.frame_spacing + 10, bend=0.45, wavelength=180.0, pace=world.frame_spacing / 0.1
-        )
+        length = 1.3 * frames * world.frame_spacing + 10
+        plan = Plan((seed, RAW, number), length, bend=0.45, wavelength=180.0, pace=world.frame_spacing / PERIOD)
         ride, scene = drive(plan, build_street(plan), world.frame_spacing, frames), build_scene(plan)
         for k in moments:
             images = [render_image(scene, ride.poses[j], matrix, size, world.supersample, ride.times[j]) for j in (k, k - 1, k + 1)]
@@ -103,22 +102,19 @@ def objective(profile: Profile) -> None:
             smooth += smoothness(disparity, views[:, 0]).item() * 0.5**scale / loss.scales
         first = first or (photometric, smooth)
         gain, price = first[0] - photometric, loss.smoothness * (smooth - first[1])
-        print(
-            f"{share:.0%} of the way: L_ph {photometric:.5f}, {gain / first[0]:.1%} less; λ2 L_smooth takes back {price / gain if gain else 0:.1%}"
-        )
+        back = price / gain if gain else 0.0
+        print(f"{share:.0%} of the way: L_ph {photometric:.5f}, {gain / first[0]:.1%} less; λ2 L_smooth takes back {back:.1%}")
 
 
 def teacher(profile: Profile) -> None:
-    """Train with exact depth, as many steps as the profile: LR-Net, then HR-Net beside it; print depth errors of all pixels and of poles."""
+    """Train with exact depth, LR-Net for 1000 steps and HR-Net for as many as the profile does; print errors of all pixels and of poles."""
     keep_freed_memory()
-    taught, tested = (
-        list(shots(profile, TAUGHT, profile.world.train_drives, range(1, 98))),
-        list(shots(profile, TESTED, 6, range(6, 31, 8))),
-    )
-    per_epoch = len(taught) // profile.training.lr.batch_size
+    taught = list(shots(profile, TAUGHT, profile.world.train_drives, range(1, 98)))
+    tested = list(shots(profile, TESTED, 6, range(6, 31, 8)))
+    per_epoch = len(taught) // profile.training.hr.batch_size
     torch.manual_seed(0)
     net = LRNet(profile.training.encoder, False)
-    learn(net, taught, 3, profile.training.lr.epochs * per_epoch)
+    learn(net, taught, 3, 1000)
     print("LR-Net:", *errors_of(net, tested, 3))
     dual = DualNet(net)
     learn(dual, taught, 1, profile.training.hr.epochs * per_epoch)
