@@ -54,6 +54,9 @@ wildcard_constraints:
 rule all:
     input:
         expand(f"{RESULTS}/notebooks/{{page}}.ipynb", page=["00_quickstart", "01_download_data", "02_prepare_data", *PAGES, "14_report"]),
+        expand(f"{RESULTS}/tables/{{table}}.{{end}}", table=[table for table, _ in PAGES.values() if table], end=["csv", "json"]),
+        f"{RESULTS}/report.html",
+        f"{WORK}/prepared/test_frames.json",
         expand(f"{RESULTS}/notebooks/03_train_lr_{{variant}}_seed{{seed}}.ipynb", variant=VARIANTS["lr"], seed=SEEDS),
         expand(f"{RESULTS}/notebooks/04_train_hr_{{variant}}_seed{{seed}}.ipynb", variant=VARIANTS["hr"], seed=SEEDS),
 

@@ -76,6 +76,11 @@ class Run:
         return self.work / "sources.json"
 
     @property
+    def given(self) -> Path:
+        """What the last run of the chain was given: folders, seeds."""
+        return self.work / "given.json"
+
+    @property
     def prepared(self) -> Path:
         """Folder of the prepared index and ground truth (notebook 02)."""
         return self.work / "prepared"
