@@ -11,7 +11,7 @@ export OMP_WAIT_POLICY := PASSIVE
 STAMP := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help env reproduce test lab lint lock bench publish notebooks clean
+.PHONY: help env reproduce status test lab lint lock bench publish notebooks clean
 
 help: ## what can be made
 	@echo "make reproduce [PROFILE=tiny] [KITTI_ROOT=dir] [ODOMETRY_ROOT=dir] [MAKE3D_ROOT=dir] [LABELS_ROOT=dir] [TEST_LIST=file]"
@@ -28,6 +28,10 @@ $(STAMP): environment.lock pyproject.toml
 
 reproduce: env ## run every notebook of a profile: data, training, tables, figures
 	@dualdepth reproduce --profile "$(PROFILE)" --kitti-root "$(KITTI_ROOT)" --test-list "$(TEST_LIST)" --seeds "$(SEEDS)" \
+	    --odometry-root "$(ODOMETRY_ROOT)" --make3d-root "$(MAKE3D_ROOT)" --labels-root "$(LABELS_ROOT)" $(if $(filter 1,$(ALLOW_LEAK)),--allow-leak)
+
+status: env ## which steps of a profile are done, stale (and why), missing or running
+	@dualdepth status --profile "$(PROFILE)" --kitti-root "$(KITTI_ROOT)" --test-list "$(TEST_LIST)" --seeds "$(SEEDS)" \
 	    --odometry-root "$(ODOMETRY_ROOT)" --make3d-root "$(MAKE3D_ROOT)" --labels-root "$(LABELS_ROOT)" $(if $(filter 1,$(ALLOW_LEAK)),--allow-leak)
 
 test: env lint ## lint, unit tests, the tiny chain, notebooks against their stored outputs

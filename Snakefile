@@ -1,6 +1,7 @@
-# The order of the notebooks: one rule a notebook, a training for each variant and seed. What shapes a step's result stands in its params,
-# as digests, so that a changed setting or changed code reruns the step and what depends on it, and nothing else.
-from dualdepth.results import PACKAGE, Run, code_digest, file_digest, folder_digest, notebook_digest
+# The order of the notebooks: one rule a notebook, a training for each variant and seed. What shapes a step's result stands in its
+# `made_from`, by name, so that a changed setting or changed code reruns the step and what depends on it, and nothing else.
+from dualdepth.ingredients import ingredients
+from dualdepth.results import PACKAGE, Run, file_digest, folder_digest
 
 PROFILE = config.get("profile", "tiny")
 run_ = Run(PROFILE)
@@ -8,7 +9,7 @@ NAME = run_.profile.name
 SEEDS = [int(s) for s in str(config.get("seeds", "")).split(",") if s] or run_.profile.seeds
 WORK, RESULTS = f"work/{NAME}", f"results/{NAME}"
 ROOTS = ("kitti_root", "test_list", "odometry_root", "make3d_root", "labels_root")
-GIVEN = {name: config.get(name) or "" for name in ROOTS}
+GIVEN = {name: config.get(name) or "" for name in ROOTS} | {"allow_leak": int(config.get("allow_leak") or 0)}
 # without odometry's frames there is nothing to train its variants on; their table says so
 DEPTH, ODOMETRY = run_.profile.trained_on("depth"), run_.profile.trained_on("odometry")
 TRAINED = DEPTH + (ODOMETRY if run_.profile.world or GIVEN["odometry_root"] else [])
@@ -27,11 +28,6 @@ PAGES = {
 }
 # trainings side by side do more in the same time than one after the other on all cores
 THREADS = {stage: max(1, workflow.cores // max(1, len(names) * len(SEEDS))) for stage, names in VARIANTS.items()}
-
-
-def notebook(name):
-    """Digest of a notebook's own cells."""
-    return notebook_digest(name)
 
 
 def trained(variants):
@@ -62,6 +58,9 @@ localrules: quickstart, download_data
 rule all:
     input:
         expand(f"{RESULTS}/notebooks/{{page}}.ipynb", page=["00_quickstart", "01_download_data", "02_prepare_data", *PAGES, "14_report"]),
+        expand(f"{RESULTS}/tables/{{table}}.{{end}}", table=[table for table, _ in PAGES.values() if table], end=["csv", "json"]),
+        f"{RESULTS}/report.html",
+        f"{WORK}/prepared/test_frames.json",
         expand(f"{RESULTS}/notebooks/03_train_lr_{{variant}}_seed{{seed}}.ipynb", variant=VARIANTS["lr"], seed=SEEDS),
         expand(f"{RESULTS}/notebooks/04_train_hr_{{variant}}_seed{{seed}}.ipynb", variant=VARIANTS["hr"], seed=SEEDS),
 
@@ -70,8 +69,7 @@ rule quickstart:
     output:
         f"{RESULTS}/notebooks/00_quickstart.ipynb",
     params:
-        notebook=notebook("00_quickstart"),
-        code=code_digest("train_lr", "world"),
+        made_from=ingredients("00_quickstart", ("train_lr", "world")),
     shell:
         "dualdepth notebook 00_quickstart --out {output} --set profile={PROFILE:q}"
 
@@ -81,16 +79,12 @@ rule download_data:
         notebook=f"{RESULTS}/notebooks/01_download_data.ipynb",
         sources=f"{WORK}/sources.json",
     params:
-        notebook=notebook("01_download_data"),
-        settings=run_.profile.digest("world", "data"),
-        code=code_digest("world"),
-        **GIVEN,
-        allow_leak=int(config.get("allow_leak") or 0),
+        made_from=ingredients("01_download_data", ("world",), setting=run_.profile.values("world", "data"), given=GIVEN),
     threads: workflow.cores
     shell:
         "dualdepth notebook 01_download_data --out {output.notebook} --set profile={PROFILE:q}"
-        " kitti_root={params.kitti_root:q} test_list={params.test_list:q} odometry_root={params.odometry_root:q}"
-        " make3d_root={params.make3d_root:q} labels_root={params.labels_root:q} allow_leak={params.allow_leak}"
+        " kitti_root={GIVEN[kitti_root]:q} test_list={GIVEN[test_list]:q} odometry_root={GIVEN[odometry_root]:q}"
+        " make3d_root={GIVEN[make3d_root]:q} labels_root={GIVEN[labels_root]:q} allow_leak={GIVEN[allow_leak]}"
 
 
 rule prepare_data:
@@ -104,10 +98,7 @@ rule prepare_data:
         truth=f"{WORK}/prepared/ground_truth.npz",
         odometry=[f"{WORK}/prepared/odometry.csv"] if set(ODOMETRY) <= set(TRAINED) and ODOMETRY else [],
     params:
-        notebook=notebook("02_prepare_data"),
-        settings=run_.profile.digest("data"),
-        odometry=ODOMETRY != [],
-        code=code_digest("prepare"),
+        made_from=ingredients("02_prepare_data", ("prepare",), setting=run_.profile.values("data") | {"odometry": ODOMETRY != []}),
     shell:
         "dualdepth notebook 02_prepare_data --out {output.notebook} --set profile={PROFILE:q}"
 
@@ -120,9 +111,7 @@ rule train_lr:
         notebook=f"{RESULTS}/notebooks/03_train_lr_{{lr}}_seed{{seed}}.ipynb",
         trained=f"{WORK}/runs/{{lr}}/seed{{seed}}/trained.json",
     params:
-        notebook=notebook("03_train_lr"),
-        settings=lambda wildcards: run_.settings_digest(wildcards.lr),
-        code=code_digest("train_lr"),
+        made_from=lambda wildcards: ingredients("03_train_lr", ("train_lr",), setting=run_.settings(wildcards.lr)),
     threads: THREADS["lr"]
     resources:
         gpu=1,
@@ -142,9 +131,7 @@ rule train_hr:
         notebook=f"{RESULTS}/notebooks/04_train_hr_{{hr}}_seed{{seed}}.ipynb",
         trained=f"{WORK}/runs/{{hr}}/seed{{seed}}/trained.json",
     params:
-        notebook=notebook("04_train_hr"),
-        settings=lambda wildcards: run_.settings_digest(wildcards.hr),
-        code=code_digest("train_lr", "train_hr"),
+        made_from=lambda wildcards: ingredients("04_train_hr", ("train_lr", "train_hr"), setting=run_.settings(wildcards.hr)),
     threads: THREADS["hr"]
     resources:
         gpu=1,
@@ -154,17 +141,16 @@ rule train_hr:
 
 
 SHARED = {
-    "settings": run_.profile.digest("evaluation", "about"),
-    "variants": run_.profile.variants_digest(),
-    "seeds": ",".join(map(str, SEEDS)),
-    "code": code_digest("predict", "tables"),
+    "setting": run_.profile.values("evaluation", "about"),
+    "variant": run_.profile.trained_variants(),
+    "given": {"seeds": ",".join(map(str, SEEDS))},
 }
 
 # what a user may replace in a folder of their own
-DATA = {
-    "make3d": folder_digest(GIVEN["make3d_root"], "*/*.jpg", "*/*.mat", "*/*/*.mat"),
-    "odometry": folder_digest(GIVEN["odometry_root"], "poses/*.txt", "sequences/*/poses.txt"),
-    "sa_region": folder_digest(GIVEN["labels_root"], "*/*.png"),
+FILES = {
+    "make3d": {"make3d_root": folder_digest(GIVEN["make3d_root"], "*/*.jpg", "*/*.mat", "*/*/*.mat")},
+    "odometry": {"odometry_root": folder_digest(GIVEN["odometry_root"], "poses/*.txt", "sequences/*/poses.txt")},
+    "sa_region": {"labels_root": folder_digest(GIVEN["labels_root"], "*/*.png")},
 }
 
 for page, (table, names) in PAGES.items():
@@ -179,10 +165,9 @@ for page, (table, names) in PAGES.items():
             notebook=f"{RESULTS}/notebooks/{page}.ipynb",
             table=[f"{RESULTS}/tables/{table}.csv", f"{RESULTS}/tables/{table}.json"] if table else [],
         params:
-            **SHARED,
             page=page,
-            data=DATA.get(table, ""),
-            notebook=notebook(page),
+            seeds=",".join(map(str, SEEDS)),
+            made_from=ingredients(page, ("predict", "tables"), files=FILES.get(table, {}), **SHARED),
         threads: workflow.cores if table == "backbone" else max(1, workflow.cores // 2)  # the one measures time
         resources:
             gpu=1,
@@ -198,10 +183,11 @@ rule report:
         notebook=f"{RESULTS}/notebooks/14_report.ipynb",
         page=f"{RESULTS}/report.html",
     params:
-        **SHARED,
-        verdicts=run_.profile.digest("verdicts", "training.loss"),
-        report=code_digest("report"),
-        template=file_digest(PACKAGE / "report.html.j2"),
-        notebook=notebook("14_report"),
+        made_from=ingredients(
+            "14_report",
+            ("predict", "tables", "report"),
+            **SHARED | {"setting": SHARED["setting"] | run_.profile.values("verdicts", "training.loss")},
+            files={"report.html.j2": file_digest(PACKAGE / "report.html.j2")},
+        ),
     shell:
         "dualdepth notebook 14_report --out {output.notebook} --set profile={PROFILE:q}"

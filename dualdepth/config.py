@@ -106,20 +106,23 @@ class Profile(Settings):
             raise InputError(f"variant {name}: training.augmentation.augment_first must be true at high resolution")
         return profile
 
-    def variants_digest(self) -> str:
-        """Content hash of the variants it trains, their labels included, for tables."""
-        values = {name: self.variant(name).model_dump(mode="json") | {"here": self.train[name]} for name in self.train}
-        return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:16]
+    def trained_variants(self) -> dict[str, dict[str, Any]]:
+        """The variants it trains as plain values, their labels included, and what it sets for each of them."""
+        return {name: self.variant(name).model_dump(mode="json") | {"here": self.train[name]} for name in self.train}
 
-    def digest(self, *sections: str) -> str:
-        """Short content hash of the named sections (dots go deeper), for stamps and for what to run again."""
+    def values(self, *sections: str) -> dict[str, Any]:
+        """The named sections (dots go deeper) as plain values, for what to run again."""
         values: dict[str, Any] = {}
         for section in sections:
             value: Any = self
             for part in section.split("."):
                 value = getattr(value, part)
             values[section] = value.model_dump(mode="json") if isinstance(value, BaseModel) else value
-        return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:16]
+        return values
+
+    def digest(self, *sections: str) -> str:
+        """Short content hash of them, for stamps."""
+        return hashlib.sha256(json.dumps(self.values(*sections), sort_keys=True).encode()).hexdigest()[:16]
 
 
 @functools.cache

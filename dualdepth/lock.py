@@ -30,3 +30,16 @@ def locked(path: str | Path) -> Iterator[None]:
         file.write(f"process {os.getpid()} on {socket.gethostname()}")
         file.flush()
         yield
+
+
+def holder(path: str | Path) -> str | None:
+    """The live process that holds the lock file `path`, such as `process 123 on host`; None where none does."""
+    try:
+        with Path(path).open(encoding="utf-8") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except BlockingIOError:
+                return file.read().strip() or "another run"
+    except FileNotFoundError:
+        pass
+    return None

@@ -85,6 +85,11 @@ class Run:
         return self.work / "sources.json"
 
     @property
+    def given(self) -> Path:
+        """What the last run of the chain was given: folders, seeds."""
+        return self.work / "given.json"
+
+    @property
     def prepared(self) -> Path:
         """Folder of the prepared index and ground truth (notebook 02)."""
         return self.work / "prepared"
@@ -97,11 +102,15 @@ class Run:
         """Released weights of one training."""
         return self.training(variant, seed) / "model.safetensors"
 
-    def settings_digest(self, variant: str) -> str:
-        """Digest of the settings that shape a variant's weights; how it is logged and loaded is not among them."""
+    def settings(self, variant: str) -> dict[str, Any]:
+        """The settings that shape a variant's weights; how it is logged and loaded is not among them."""
         chosen, profile = self.profile.variant(variant), self.profile.of_variant(variant)
-        network = chosen.model_dump_json(exclude={"label", "about", "set", "trains_on"})
-        return _short_digest(network, profile.digest("data.hr_size", f"training.{chosen.stage}", *_SHAPING))
+        network = chosen.model_dump(mode="json", exclude={"label", "about", "set", "trains_on"})
+        return {"variant": network, **profile.values("data.hr_size", f"training.{chosen.stage}", *_SHAPING)}
+
+    def settings_digest(self, variant: str) -> str:
+        """Digest of them."""
+        return _short_digest(json.dumps(self.settings(variant), sort_keys=True))
 
     def training_code(self, variant: str) -> str:
         """Digest of the code that shapes a variant's weights."""
@@ -225,12 +234,18 @@ def folder_digest(folder: str | Path, *patterns: str) -> str:
 
 def code_digest(*steps: str) -> str:
     """Digest of the code of some steps' modules, blind to comments, docstrings and layout."""
-    digest = hashlib.sha256()
-    for module in (module for step in steps for module in CODE[step]):
-        path = (PACKAGE.parent if module.startswith("data_scripts") else PACKAGE) / module.replace(".", "/")
-        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path.with_suffix(".py")]:
-            digest.update(_meaning(file.read_text(encoding="utf-8")).encode())
-    return digest.hexdigest()[:16]
+    return hashlib.sha256("".join(_code(module) for step in steps for module in CODE[step]).encode()).hexdigest()[:16]
+
+
+def code_digests(*steps: str) -> dict[str, str]:
+    """The same of each module, by its name."""
+    return {module: _short_digest(_code(module)) for step in steps for module in CODE[step]}
+
+
+def _code(module: str) -> str:
+    path = (PACKAGE.parent if module.startswith("data_scripts") else PACKAGE) / module.replace(".", "/")
+    files = sorted(path.rglob("*.py")) if path.is_dir() else [path.with_suffix(".py")]
+    return "".join(_meaning(file.read_text(encoding="utf-8")) for file in files)
 
 
 def notebook_digest(name: str) -> str:

@@ -201,7 +201,7 @@ def test_a_table_is_made_from_the_weights_that_are_trained_the_scored_frames_and
 
 def test_tables_are_stale_when_the_variants_or_their_labels_change(project):
     def digest(text):
-        return own_run(project, text).profile.variants_digest()
+        return own_run(project, text).profile.trained_variants()
 
     plain = digest("train: {lr: , dual: }\n")
     assert digest("train: {lr: , dual: }\ntraining: {log_every: 7}\n") == plain

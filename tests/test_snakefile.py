@@ -1,73 +1,19 @@
 """The order of the chain and what makes a step stale, with a stand-in for the command that runs a notebook."""
 
-import os
-import shutil
-import subprocess
-import sys
-
 import pytest
+from small_chain import SmallChain
 
 from dualdepth.results import project_root
 
-STAND_IN = """#!{python}
-import pathlib, re, sys
-words = " ".join(sys.argv)
-out = pathlib.Path(sys.argv[sys.argv.index("--out") + 1])
-name, profile = sys.argv[2], out.parts[1]
-seed, variant = (re.search(key + r"=(\\S+)", words) for key in ("seed", "variant"))
-table = name.partition("table_")[2]
-made = {{
-    "14_report": ["results/{{p}}/report.html"],
-    "01_download_data": ["work/{{p}}/sources.json"],
-    "02_prepare_data": ["work/{{p}}/prepared/" + n for n in (
-        "triplets.csv", "identity.json", "test_frames.json", "ground_truth.npz", "odometry.csv")],
-    "03_train_lr": ["work/{{p}}/runs/{{v}}/seed{{s}}/trained.json"],
-    "04_train_hr": ["work/{{p}}/runs/{{v}}/seed{{s}}/trained.json"],
-}}.get(name, ["results/{{p}}/tables/" + table + end for end in (".csv", ".json")] if table else [])
-for path in [out, *(pathlib.Path(m.format(p=profile, s=seed and seed[1], v=variant and variant[1])) for m in made)]:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(words)
-with open("ran.txt", "a") as log:
-    log.write(" ".join([name, *([variant[1], "seed", seed[1]] if seed else [])]) + "\\n")
-"""
 TABLES = sorted([path.stem for path in (project_root() / "notebooks").glob("*_table_*.ipynb")] + ["13_figures", "14_report"])
 OF_DEPTH = [page for page in TABLES if page != "12_table_odometry"]
 """Pages that scored trainings of this profile."""
-PROFILE = """about: a test
-world: {}
-data: {source: miniature}
-training: {encoder: resnet18}
-train: {lr: , dual: , resnet18: }
-"""
 
 
 @pytest.fixture
 def chain(tmp_path):
     """Runs the chain of a profile in a folder of its own, and says which notebooks ran."""
-    for name in ("Snakefile", "notebooks"):
-        source = project_root() / name
-        (shutil.copytree if source.is_dir() else shutil.copyfile)(source, tmp_path / name)
-    command = tmp_path / "bin" / "dualdepth"
-    command.parent.mkdir()
-    command.write_text(STAND_IN.format(python=sys.executable))
-    command.chmod(0o755)
-    profile = tmp_path / "own.yaml"
-    profile.write_text(PROFILE)
-
-    def run(*config, change=None):
-        if change:
-            text = profile.read_text()
-            assert change[0] in text
-            profile.write_text(text.replace(*change))
-        ran = tmp_path / "ran.txt"
-        ran.unlink(missing_ok=True)
-        environment = os.environ | {"PATH": f"{command.parent}:{os.environ['PATH']}", "PYTHONPATH": str(project_root())}
-        words = [sys.executable, "-m", "snakemake", "--cores", "2", "--nolock", "--config", f"profile={profile}", *config]
-        done = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr
-        return sorted(ran.read_text().splitlines()) if ran.exists() else []
-
-    return run
+    return SmallChain.make(tmp_path)
 
 
 def trainings(*seeds):
@@ -137,6 +83,14 @@ def test_without_its_folder_odometry_is_not_trained_but_has_its_table(chain, tmp
     ran = chain(change=ODOMETRY)
     assert [name for name in ran if name.startswith("03")] == ["03_train_lr lr seed 0"] and "12_table_odometry" in ran
     assert "03_train_lr odometry_lr seed 0" in chain("odometry_root=/somewhere")
+
+
+def test_a_result_that_was_deleted_is_made_again(chain, tmp_path):
+    chain()
+    (tmp_path / "results/own/tables/main.csv").unlink()
+    assert chain() == ["05_table_main", "14_report"]
+    (tmp_path / "results/own/report.html").unlink()
+    assert chain() == ["14_report"]
 
 
 def test_every_notebook_is_in_the_chain(chain):

@@ -1,6 +1,12 @@
 """`dualdepth reproduce` and `dualdepth notebook`: the chain of notebooks, and one of them."""
 
 import argparse
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from dualdepth.results import Run
 
 ROOTS = {
     "kitti_root": "folder that holds 2011_09_26 and the other days; else what the profile needs is downloaded",
@@ -49,34 +55,20 @@ def reproduce(arguments: argparse.Namespace) -> int:
     import shutil
     import subprocess
     import sys
-    from pathlib import Path
 
-    from dualdepth.data.kitti import check_root, read_frame_list
+    from dualdepth.atomic import write_json
     from dualdepth.errors import InputError
     from dualdepth.lock import locked
-    from dualdepth.preparation import FOLDERS
     from dualdepth.results import Run
 
     run = Run(arguments.profile)
-    seeds = parse_seeds(arguments.seeds) or run.profile.seeds
-    profile = str(Path(arguments.profile).resolve()) if Path(arguments.profile).is_file() else arguments.profile
-    config = {"profile": profile, "seeds": ",".join(map(str, seeds))}
-    if arguments.kitti_root:
-        check_root(arguments.kitti_root)
-    if arguments.test_list:
-        read_frame_list(arguments.test_list)
-    for name, check in FOLDERS.items():
-        if getattr(arguments, name):
-            check(getattr(arguments, name))
-    for name in ROOTS:
-        given = getattr(arguments, name)
-        config[name] = str(Path(given).resolve()) if given else ""
-    config["allow_leak"] = int(arguments.allow_leak)
+    config = chain_config(arguments, run)
     settings = [f"{k}={v}" for k, v in config.items()]
     command = [sys.executable, "-m", "snakemake", "--cores", arguments.cores, "--nolock", "--rerun-incomplete", "--quiet", "all"]
     if shutil.which("nvidia-smi"):
         command += ["--resources", "gpu=1"]  # one training at a time has the GPU to itself
     with locked(run.work / "lock"):
+        write_json(run.given, {name: config[name] for name in (*ROOTS, "allow_leak")} | {"seeds": arguments.seeds})
         done = subprocess.run([*command, *arguments.snakemake, "--config", *settings], cwd=run.root, check=False)
     if done.returncode:
         logs = sorted((run.root / ".snakemake" / "log").glob("*.log"))
@@ -84,6 +76,29 @@ def reproduce(arguments: argparse.Namespace) -> int:
     print(f"{run.profile.name}: {run.profile.about}")
     print(f"results of profile {run.profile.name}: {run.results.relative_to(run.root)}/report.html, tables, figures, notebooks")
     return 0
+
+
+def chain_config(arguments: argparse.Namespace, run: "Run", last: Mapping[str, str | int] = MappingProxyType({})) -> dict[str, str | int]:
+    """What the Snakefile is told: profile, seeds, a user's own folders; what is not given is taken from `last`, what a run was given.
+
+    Raises:
+        InputError: bad seeds or paths.
+    """
+    from pathlib import Path
+
+    from dualdepth.data.kitti import check_root, read_frame_list
+    from dualdepth.preparation import FOLDERS
+
+    checks = {"kitti_root": check_root, "test_list": read_frame_list, **FOLDERS}
+    seeds = parse_seeds(arguments.seeds or str(last.get("seeds", ""))) or run.profile.seeds
+    profile = str(Path(arguments.profile).resolve()) if Path(arguments.profile).is_file() else arguments.profile
+    config: dict[str, str | int] = {"profile": profile, "seeds": ",".join(map(str, seeds))}
+    for name in ROOTS:
+        given = getattr(arguments, name)
+        if given:
+            checks[name](given)
+        config[name] = str(Path(given).resolve()) if given else last.get(name, "")
+    return config | {"allow_leak": int(arguments.allow_leak or last.get("allow_leak", 0))}
 
 
 def notebook(arguments: argparse.Namespace) -> int:
