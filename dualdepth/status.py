@@ -81,6 +81,8 @@ def _copy(source: Path, target: Path) -> None:
 
 
 def _step(run: Run, flow: Any, job: Any, makers: dict[str, str], live: bool) -> Step:
+    from dualdepth.checkpoints import checkpoint_paths
+
     name, reason = _name(job), flow.dag.reason(job)
     begun = bool(flow.persistence._filter_incomplete_keys(map(str, job.output)))
     training = [int(job.wildcards.seed) if key == "seed" else value for key, value in job.wildcards.items()]
@@ -91,7 +93,7 @@ def _step(run: Run, flow: Any, job: Any, makers: dict[str, str], live: bool) -> 
         return Step(name, "done", "")
     gone = [str(file) for file in job.output if not (run.root / file).exists()]
     if len(gone) == len(job.output):
-        stopped = training and (run.training(*training) / "checkpoint.pt").exists()
+        stopped = training and checkpoint_paths(run.training(*training))
         return Step(name, "missing", f"stopped at {_progress(run, *training)}" if stopped else "its last run was broken off" * begun)
     if gone:
         return Step(name, "missing", f"{', '.join(gone)} not there")

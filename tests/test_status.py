@@ -146,7 +146,7 @@ def test_a_training_at_work_says_how_far_it_is_and_a_killed_one_where_it_stopped
     begin(chain, name)
     assert states(chain)[name] == ("missing", "its last run was broken off")
     (folder / "log.csv").write_text("step,loss\n1,0.5\n6,0.4\n")
-    (folder / "checkpoint.pt").touch()
+    (folder / "checkpoint_00000004.pt").touch()
     (chain.root / "work/own/prepared/triplets.csv").write_text("drive,camera,index,suffix\n" + "d,image_02,1,.png\n" * 80)
     run = Run(str(chain.profile), chain.root)
     of = f"step 6 of {run.profile.training.lr.epochs * (80 // run.profile.training.lr.batch_size)}"
