@@ -103,7 +103,7 @@ def test_a_drive_without_frames_is_named(project):
         ("--kitti-root", ".", "holds no 2011"),
         ("--profile", "mini", "profile 'mini' not found: choose one of miniature"),
         ("--test-list", "nowhere.txt", "nowhere.txt: cannot read the list"),
-        ("--seeds", "0;1", "seeds '0;1': give whole numbers between commas"),
+        ("--seeds", "0;1", "seeds '0;1': give whole numbers from 0 up between commas"),
     ],
 )
 def test_reproduce_refuses_bad_arguments_in_one_line(option, value, said, capsys, monkeypatch):
