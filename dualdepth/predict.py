@@ -10,7 +10,7 @@ import torch
 from torch import nn
 from tqdm import tqdm
 
-from dualdepth import processes
+from dualdepth import ranks
 from dualdepth.checkpoints import load_card, load_weights
 from dualdepth.data.augmentation import resize
 from dualdepth.data.kitti import read_image
@@ -68,12 +68,12 @@ def predict_disparities(
     Returns:
         (N, h, w) float32, positive, of unknown scale.
     """
-    if processes.count() == 1:
+    if ranks.count() == 1:
         return _predict(depth_net, paths, device, batch_size, read)
     from accelerate import PartialState
     from accelerate.utils import gather_object
 
-    state = PartialState(cpu=processes.on_cpu())
+    state = PartialState(cpu=ranks.on_cpu())
     with state.split_between_processes(list(paths)) as share:
         mine = [_predict(depth_net, share, state.device, batch_size, read)] if share else []
     return np.concatenate(gather_object(mine))
@@ -91,7 +91,7 @@ def _predict(
     net, architecture, hr_size = depth_net
     net = net.to(device)
     maps = []
-    with tqdm(total=len(paths), desc="predicting", unit="image", disable=not processes.is_main()) as bar:
+    with tqdm(total=len(paths), desc="predicting", unit="image", disable=not ranks.is_main()) as bar:
         for batch in _batches(paths, batch_size):
             frames = np.stack([resize(read(path), hr_size) for path in batch]).transpose(0, 3, 1, 2)
             images = to_unit(torch.from_numpy(np.ascontiguousarray(frames)))

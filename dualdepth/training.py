@@ -12,7 +12,7 @@ from accelerate.utils import set_seed
 from torch import nn
 from tqdm import tqdm
 
-from dualdepth import processes
+from dualdepth import ranks
 from dualdepth.atomic import check_writable, remove_leftovers
 from dualdepth.checkpoints import Checkpointer, checkpoint_paths, last_checkpoint, save_weights
 from dualdepth.config import Profile
@@ -75,9 +75,7 @@ def train(
     folder, settings = Path(folder), profile.training
     # heads of scales that the loss does not look at get no gradient
     ddp = DistributedDataParallelKwargs(find_unused_parameters=settings.loss.scales < 4)
-    accelerator = Accelerator(
-        cpu=processes.on_cpu(), mixed_precision="bf16" if settings.precision == "bf16" else "no", kwargs_handlers=[ddp]
-    )
+    accelerator = Accelerator(cpu=ranks.on_cpu(), mixed_precision="bf16" if settings.precision == "bf16" else "no", kwargs_handlers=[ddp])
     main = accelerator.is_main_process
     if main:
         check_writable(folder)

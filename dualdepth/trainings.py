@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from dualdepth import processes
+from dualdepth import ranks
 from dualdepth.atomic import write_text
 from dualdepth.building import architecture, check_start, make_stage
 from dualdepth.checkpoints import load_card
@@ -34,7 +34,7 @@ def train_variant(run: Run, name: str, seed: int) -> Path:
         check_start(start, profile, variant)
     weights, recipe = run.weights(name, seed), run.recipe(name, seed)
     if weights.exists() and (card := load_card(weights)).get("recipe") == recipe:
-        if processes.is_main():
+        if ranks.is_main():
             print(f"already trained: {card['steps']} steps, seed {seed}")
         return _mark(weights)
     train(
@@ -87,7 +87,7 @@ def _pretrained(variant: Variant, profile: Profile, before: dict[str, Any] | Non
 def _mark(weights: Path) -> Path:
     """Write `trained.json`, which tells the chain that these weights are done; the weights themselves are never the chain's to delete."""
     marker = weights.with_name("trained.json")
-    if not processes.is_main():
+    if not ranks.is_main():
         return weights
     digest = json.dumps({"weights_sha256": load_card(weights)["sha256"]}) + "\n"
     if not marker.exists() or marker.read_text(encoding="utf-8") != digest:

@@ -18,7 +18,7 @@ def train(arguments: argparse.Namespace) -> int:
     Raises:
         InputError: a negative seed, or what `train_variant` says.
     """
-    from dualdepth import processes
+    from dualdepth import ranks
     from dualdepth.errors import InputError
     from dualdepth.results import Run
     from dualdepth.trainings import train_variant
@@ -26,6 +26,6 @@ def train(arguments: argparse.Namespace) -> int:
     if not 0 <= arguments.seed < 2**32:
         raise InputError(f"--seed {arguments.seed}: give a whole number from 0 to 4294967295")
     weights = train_variant(Run(arguments.profile), arguments.variant, arguments.seed)
-    if processes.is_main():
+    if ranks.is_main():
         print(weights)
     return 0

@@ -88,10 +88,10 @@ def test_predictions_are_shared_and_each_image_counts_once(pair, single, tmp_pat
     paths = sorted((pair.root / "kitti").rglob("*.png"))[:5]
     script = (
         "import sys, numpy as np\n"
-        "from dualdepth import processes\n"
+        "from dualdepth import ranks\n"
         "from dualdepth.predict import load_depth_net, predict_disparities\n"
         "found = predict_disparities(load_depth_net(sys.argv[1]), sys.argv[3:], batch_size=2)\n"
-        "np.save(f'{sys.argv[2]}/{processes.is_main():d}.npy', found)\n"
+        "np.save(f'{sys.argv[2]}/{ranks.is_main():d}.npy', found)\n"
     )
     (tmp_path / "share.py").write_text(script)
     command = [*TORCHRUN, str(tmp_path / "share.py"), str(weights), str(tmp_path), *map(str, paths)]

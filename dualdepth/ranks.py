@@ -1,4 +1,4 @@
-"""How many processes share the work under `torchrun` or SLURM, and which of them this is."""
+"""How many processes share one training under `torchrun` or SLURM, and which of them this is."""
 
 import os
 
