@@ -181,6 +181,19 @@ def load_card(path: str | Path) -> dict[str, Any]:
         raise InputError(f"{card}: the weights' card cannot be read ({error}); keep it beside the weights") from None
 
 
+def finished_card(path: str | Path) -> dict[str, Any] | None:
+    """The card of weights that are there and are those that it was written with; None of a save that was killed between card and weights.
+
+    Raises:
+        InputError: there are weights without a readable card.
+    """
+    path = Path(path)
+    if not path.exists():
+        return None
+    card = load_card(path)
+    return card if hashlib.sha256(path.read_bytes()).hexdigest() == card.get("sha256") else None
+
+
 def load_weights(path: str | Path, model: nn.Module, prefix: str = "") -> dict[str, Any]:
     """Fill `model` with released weights, and return their card.
 

@@ -59,6 +59,8 @@ def run_notebook(name: str, out: str | Path, parameters: dict[str, Any]) -> Path
             shutil.copyfile(partial, failed)
             if error.ename in ("InputError", "PermissionError"):
                 raise InputError(error.evalue) from None
+            if error.ename == "SystemExit":  # a training that was told to stop, and wrote a checkpoint
+                raise SystemExit(error.evalue) from None
             raise RuntimeError(f"{source.name} failed in cell {error.cell_index}: {error.ename}: {error.evalue}; see {failed}") from None
         notebook = nbformat.read(partial, as_version=4)
         _collapse_progress(notebook)

@@ -213,9 +213,9 @@ _SHAPING = (
     "training.loss",
     "training.precision",
     "training.channels_last",
-    "training.on_bad_frame",
 )
-"""Settings of `Training` that shape the weights, beside the stage's own; not how a batch is cut to fit the machine (`accumulate`)."""
+"""Settings of `Training` that shape the weights, beside the stage's own; not what fits it to machine and files (`accumulate`,
+`on_bad_frame`)."""
 
 
 def file_digest(path: Path) -> str | None:

@@ -152,6 +152,8 @@ def train(
             for part in range(settings.accumulate):
                 batch = {k: v.to(accelerator.device) if torch.is_tensor(v) else v for k, v in next(shares).items()}
                 names += batch["name"]
+                # an encoder's own draws, such as dropout, are functions of seed, step and part, too
+                torch.manual_seed((seed * total + step) * parts + part * accelerator.num_processes + accelerator.process_index)
                 with contextlib.nullcontext() if part == settings.accumulate - 1 else accelerator.no_sync(model):
                     output = model(batch)
                     check_finite("loss", output.losses.total, step, names, batch)

@@ -16,8 +16,8 @@ from dualdepth.losses import Losses
 class TrainingLog:
     """Rows by step in `log.csv`, the same in TensorBoard, pictures in `panels/`.
 
-    A resumed training drops the rows after its checkpoint and goes on, so a log never holds a step twice. What cannot be written is
-    told to `say` and does not stop the training; rows are kept and written with the next.
+    A resumed training drops rows and pictures after its checkpoint and goes on, so a log never holds a step twice. What
+    cannot be written is told to `say` and does not stop the training; rows are kept and written with the next.
     """
 
     def __init__(self, folder: Path, step: int, say: Callable[[str], object] = print) -> None:
@@ -25,7 +25,10 @@ class TrainingLog:
 
         self.folder, self.path, self.say = folder, folder / "log.csv", say
         self.rows = [row for row in read_log(self.path).to_dict("records") if row["step"] <= step] if self.path.exists() else []
-        self.writer = SummaryWriter(str(folder / "tensorboard"), purge_step=step)
+        self.writer = SummaryWriter(str(folder / "tensorboard"), purge_step=step + 1)
+        for picture in (folder / "panels").glob("step_*.png"):
+            if int(picture.stem[5:]) > step:
+                picture.unlink()
 
     def row(self, step: int, values: dict[str, float]) -> None:
         """Add the numbers of a step."""

@@ -7,7 +7,7 @@ from typing import Any
 from dualdepth import ranks
 from dualdepth.atomic import write_text
 from dualdepth.building import architecture, check_start, make_stage
-from dualdepth.checkpoints import load_card
+from dualdepth.checkpoints import finished_card, load_card
 from dualdepth.config import Profile
 from dualdepth.data.odometry import drives_of, load_odometry_triplets
 from dualdepth.data.triplets import Triplet, load_triplets, read_targets
@@ -33,7 +33,7 @@ def train_variant(run: Run, name: str, seed: int) -> Path:
     if start:
         check_start(start, profile, variant)
     weights, recipe = run.weights(name, seed), run.recipe(name, seed)
-    if weights.exists() and (card := load_card(weights)).get("recipe") == recipe:
+    if (card := finished_card(weights)) and card.get("recipe") == recipe:
         if ranks.is_main():
             print(f"already trained: {card['steps']} steps, seed {seed}")
         return _mark(weights)

@@ -12,6 +12,7 @@ from dualdepth import checkpoints
 from dualdepth.checkpoints import (
     Checkpointer,
     checkpoint_paths,
+    finished_card,
     last_checkpoint,
     load_card,
     load_checkpoint,
@@ -243,3 +244,13 @@ def test_what_is_no_checkpoint_is_refused_in_one_line_and_its_code_is_not_run(tm
         load_checkpoint(path)
     assert "\n" not in str(error.value)
     assert not (tmp_path / "mark").exists()
+
+
+def test_weights_of_a_save_that_was_killed_between_card_and_weights_are_not_taken_as_done(tmp_path):
+    path = tmp_path / "model.safetensors"
+    assert finished_card(path) is None
+    save_weights(path, Net(), {"recipe": "old"})
+    assert finished_card(path)["recipe"] == "old"
+    card = path.with_suffix(".json")
+    card.write_text(card.read_text().replace("old", "new").replace('"sha256": "', '"sha256": "0'))
+    assert finished_card(path) is None

@@ -25,7 +25,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="the C library is not glibc")
 def test_large_arrays_are_not_paged_in_again():
     faults = [int(subprocess.run([sys.executable, "-c", COUNT, kept], capture_output=True, check=True).stdout) for kept in "01"]
-    assert faults[0] > 1000 > faults[1]
+    assert faults[0] > 500 > 5 * faults[1]  # 20 times 32 huge pages of 2 MiB, or very many small ones
 
 
 @pytest.mark.parametrize("library", [OSError("no libc.so.6"), object()])

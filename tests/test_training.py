@@ -155,12 +155,39 @@ def test_a_killed_run_goes_on_from_its_last_checkpoint_to_the_same_weights_and_l
         run("cut", make_model=at_forward(4, kill))
     assert last_checkpoint(tmp_path / "cut")["step"] == 2
     assert list(read_log(tmp_path / "cut/log.csv")["step"]) == [1, 2, 3]
+    (tmp_path / "cut/panels").mkdir(exist_ok=True)
+    (tmp_path / "cut/panels/step_0000099.png").touch()  # of a longer run before
     assert equal(run("cut"), whole)
+    assert [path.name for path in (tmp_path / "cut/panels").iterdir()] == [f"step_{STEPS:07d}.png"]
     logs = [read_log(tmp_path / name / "log.csv").drop(columns="steps_per_second") for name in ("cut", "whole")]
     pd.testing.assert_frame_equal(*logs)
     assert list(logs[0]["step"]) == list(range(1, STEPS + 1))
     card = json.loads((tmp_path / "cut/model.json").read_text())
     assert card["resumed_at"] == 2
+
+
+def test_random_draws_inside_a_network_are_the_same_after_a_stop(run):
+    class Dropping(LRStage):
+        def forward(self, batch):
+            output = super().forward(batch)
+            noise = torch.rand(())  # as dropout draws
+            return output._replace(losses=output.losses._replace(total=output.losses.total * noise))
+
+    whole = run("whole", make_model=Dropping)
+
+    class Stopped(Dropping):
+        calls = 0
+
+        def forward(self, batch):
+            Stopped.calls += 1
+            if Stopped.calls == 4:
+                os.kill(os.getpid(), signal.SIGTERM)
+            return super().forward(batch)
+
+    with pytest.raises(SystemExit):
+        run("cut", make_model=Stopped)
+    assert equal(run("cut", make_model=Dropping), whole)
+    assert not equal(run("plain"), whole)
 
 
 def test_a_checkpoint_of_another_recipe_is_not_resumed(run, tmp_path, capsys):
