@@ -10,6 +10,7 @@ import socket
 import sys
 import tempfile
 import time
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 import pandas as pd
@@ -22,8 +23,8 @@ from tests.reliability.counting import write_count
 from tests.reliability.kills import finish, make_checkout, outcome, start
 
 
-def start_two(run: Run, variant: str) -> list[int]:
-    """Start a training on two processes, as torchrun would; returns their numbers."""
+def start_two(run: Run, variant: str) -> list[BaseProcess]:
+    """Start a training on two processes, as torchrun would."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = str(free.getsockname()[1])
@@ -92,9 +93,9 @@ class Pair:
         run = self.run(accumulate=1)
         both = start_two(run, variant)
         wait_for_step(run, variant, 3)
-        os.kill(both[1], signal.SIGTERM)  # only the one that does not write
+        os.kill(both[1].pid, signal.SIGTERM)  # only the one that does not write
         for process in both:
-            os.waitpid(process, 0)
+            process.join(60)
         if run.weights(variant, 0).exists():
             raise RuntimeError("they were not stopped")
         run = self.run(accumulate=2)

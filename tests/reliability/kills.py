@@ -3,21 +3,25 @@
     python -m tests.reliability.kills --kills 50
 
 Each trial is a process of its own, killed with all its loader workers by SIGKILL: at a random moment, or while a checkpoint is being
-written. Trials are forked from this process, which has imported everything, so a start costs nothing.
+written. Trials are forked from a server that has imported everything, so a start costs little, and has computed nothing: OpenMP hangs in
+the child of a process that has.
 """
 
 import argparse
 import json
+import multiprocessing
 import os
 import random
 import signal
 import sys
 import tempfile
 import time
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import NamedTuple
 
 import pandas as pd
+import torch
 
 from dualdepth.data.triplets import drive_triplets
 from dualdepth.memory import keep_freed_memory
@@ -70,32 +74,39 @@ def make_checkout(root: Path, **training: object) -> Path:
     return profile
 
 
-def start(run: Run, variant: str, seed: int, **environment: str) -> int:
-    """Train in a process of its own group, with more in its environment; returns its number."""
-    process = os.fork()
-    if process:
-        return process
-    try:
-        os.setsid()
-        os.environ.update(environment)
-        with open(os.devnull, "w") as nowhere:
-            os.dup2(nowhere.fileno(), 1)
-            os.dup2(nowhere.fileno(), 2)
-        train_variant(run, variant, seed)
-        os._exit(0)
-    finally:
-        os._exit(1)
+def start(run: Run, variant: str, seed: int, **environment: str) -> BaseProcess:
+    """Train in a process of its own group, with more in its environment."""
+    server = multiprocessing.get_context("forkserver")
+    server.set_forkserver_preload(["dualdepth.trainings", "dualdepth.training", "accelerate", "transformers"])
+    process = server.Process(target=_train, args=(run, variant, seed, environment))
+    process.start()
+    while process.is_alive() and os.getpgid(process.pid) != process.pid:
+        time.sleep(0.0005)
+    return process
 
 
-def finish(process: int) -> None:
+def _train(run: Run, variant: str, seed: int, environment: dict[str, str]) -> None:
+    os.setsid()
+    os.environ.update(environment)
+    with open(os.devnull, "w") as nowhere:
+        os.dup2(nowhere.fileno(), 1)
+        os.dup2(nowhere.fileno(), 2)
+    torch.set_num_threads(1)  # as each of several processes has; how a sum is split decides its last digits
+    train_variant(run, variant, seed)
+
+
+def finish(process: BaseProcess, seconds: float = 300) -> None:
     """Wait for a process.
 
     Raises:
-        RuntimeError: it failed.
+        RuntimeError: it failed, or takes too long.
     """
-    status = os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
-    if status:
-        raise RuntimeError(f"the training ended with {status}")
+    process.join(seconds)
+    if process.exitcode is None:
+        os.killpg(process.pid, signal.SIGKILL)
+        raise RuntimeError(f"the training did not end within {seconds} s")
+    if process.exitcode:
+        raise RuntimeError(f"the training ended with {process.exitcode}")
 
 
 def outcome(run: Run, variant: str, seed: int) -> tuple[bytes, pd.DataFrame]:
@@ -124,12 +135,12 @@ def kill_at_random(run: Run, variant: str, seed: int, kills: int, seconds: float
         aim, moment = rng.random() < 0.5, time.monotonic() + rng.uniform(0, 0.8 * seconds)
         ended = False
         while not ended and not (time.monotonic() > moment and (not aim or any(folder.glob(".*.part*")))):
-            ended = os.waitpid(process, os.WNOHANG)[0] != 0
+            ended = not process.is_alive()
             time.sleep(0.0005)
         if ended:
             return done, torn
-        os.killpg(process, signal.SIGKILL)
-        os.waitpid(process, 0)
+        os.killpg(process.pid, signal.SIGKILL)
+        process.join()
         done, torn = done + 1, torn + any(folder.glob(".*.part*"))
     finish(start(run, variant, seed))
     return done, torn
