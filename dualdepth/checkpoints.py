@@ -16,8 +16,9 @@ from torch import nn
 
 from dualdepth.atomic import atomic_path, write_json
 from dualdepth.errors import InputError
+from dualdepth.precision import Precision
 
-KEYS = {"recipe", "parts", "step", "model", "optimizer"}
+KEYS = {"recipe", "parts", "precision", "step", "model", "optimizer"}
 
 
 def checkpoint_path(folder: str | Path, step: int) -> Path:
@@ -31,7 +32,15 @@ def checkpoint_paths(folder: str | Path) -> list[Path]:
 
 
 def save_checkpoint(
-    folder: str | Path, step: int, model: nn.Module, optimizer: torch.optim.Optimizer, *, recipe: str, parts: int = 1, keep: int = 2
+    folder: str | Path,
+    step: int,
+    model: nn.Module,
+    optimizer: torch.optim.Optimizer,
+    *,
+    recipe: str,
+    parts: int = 1,
+    precision: Precision = "float32",
+    keep: int = 2,
 ) -> Path:
     """Write what a resume needs, atomically: written, flushed, read back, renamed. Then all but the newest `keep` are removed.
 
@@ -42,13 +51,15 @@ def save_checkpoint(
         optimizer: of it.
         recipe: digest of all that shapes the result.
         parts: that each batch was cut into, by accumulation and processes together.
+        precision: in which the networks compute.
         keep: how many are kept.
 
     Raises:
         OSError: it could not be written; the checkpoints before it are untouched.
     """
     path = checkpoint_path(folder, step)
-    state = {"recipe": recipe, "parts": parts, "step": step, "model": model.state_dict(), "optimizer": optimizer.state_dict()}
+    state = {"recipe": recipe, "parts": parts, "precision": precision, "step": step}
+    state |= {"model": model.state_dict(), "optimizer": optimizer.state_dict()}
     with atomic_path(path) as partial:
         try:
             torch.save(state, partial)
@@ -88,7 +99,7 @@ def read_state(path: str | Path, keys: set[str], what: str, mend: str) -> dict[s
 
 
 def load_checkpoint(path: str | Path) -> dict[str, Any]:
-    """Read a checkpoint: `recipe`, `parts`, `step`, `model`, `optimizer`.
+    """Read a checkpoint: `recipe`, `parts`, `precision`, `step`, `model`, `optimizer`.
 
     Raises:
         InputError: see `read_state`.
@@ -133,11 +144,11 @@ class Checkpointer:
         """Whether it is time."""
         return step % self.steps == 0 or time.monotonic() - self.last > 60 * self.minutes
 
-    def save(self, step: int, model: nn.Module, optimizer: torch.optim.Optimizer, *, recipe: str, parts: int) -> None:
+    def save(self, step: int, model: nn.Module, optimizer: torch.optim.Optimizer, *, recipe: str, parts: int, precision: Precision) -> None:
         """Write one; if that fails, say so, and the next is tried in its time."""
         self.last = time.monotonic()
         try:
-            save_checkpoint(self.folder, step, model, optimizer, recipe=recipe, parts=parts, keep=self.keep)
+            save_checkpoint(self.folder, step, model, optimizer, recipe=recipe, parts=parts, precision=precision, keep=self.keep)
         except OSError as error:
             before = checkpoint_paths(self.folder)
             kept = f"the last good one is {before[0].name}" if before else "there is none yet"

@@ -13,8 +13,9 @@ from torch.utils.data import DataLoader
 from dualdepth.atomic import atomic_path
 from dualdepth.checkpoints import read_state
 from dualdepth.errors import InputError
+from dualdepth.precision import Precision
 
-FAILURE_KEYS = {"what", "step", "names", "model", "images", "intrinsics"}
+FAILURE_KEYS = {"what", "step", "names", "model", "precision", "images", "intrinsics"}
 
 
 def one_line_errors(loader: DataLoader) -> Iterator[dict[str, Any]]:
@@ -54,7 +55,9 @@ class StopRequested:
             signal.signal(signal.SIGTERM, self.before)
 
 
-def write_failure(path: Path, what: str, step: int, names: Sequence[str], model: nn.Module, batch: dict[str, Any]) -> Path:
+def write_failure(
+    path: Path, what: str, step: int, names: Sequence[str], model: nn.Module, batch: dict[str, Any], precision: Precision
+) -> Path:
     """Keep a batch whose loss or gradient was not finite, with the weights that it met.
 
     Args:
@@ -64,8 +67,9 @@ def write_failure(path: Path, what: str, step: int, names: Sequence[str], model:
         names: of its triplets.
         model: before the step.
         batch: `images` and `intrinsics` of the last part.
+        precision: of the networks.
     """
-    state = {"what": what, "step": step, "names": list(names), "model": model.state_dict()}
+    state = {"what": what, "step": step, "names": list(names), "model": model.state_dict(), "precision": precision}
     with atomic_path(path) as partial:
         torch.save(state | {key: batch[key].cpu() for key in ("images", "intrinsics")}, partial)
     return path
@@ -82,13 +86,12 @@ def load_failure(path: str | Path) -> dict[str, Any]:
     return read_state(path, FAILURE_KEYS, "a failure kept by a training", "train again to see whether it comes again")
 
 
-def replay(state: dict[str, Any], stage: nn.Module, *, bf16: bool) -> list[str]:
+def replay(state: dict[str, Any], stage: nn.Module) -> list[str]:
     """Compute a kept batch again and say, line by line, where numbers stop being finite.
 
     Args:
         state: of `load_failure`.
         stage: of that training; is given the weights.
-        bf16: whether the training's networks ran in bfloat16; float32 is tried as well.
 
     Raises:
         InputError: the weights are of another network.
@@ -102,7 +105,7 @@ def replay(state: dict[str, Any], stage: nn.Module, *, bf16: bool) -> list[str]:
     lines.append(f"weights: {_list(spoilt)}")
     batch = {key: state[key] for key in ("images", "intrinsics")}
     lines.append(f"intrinsics: {'finite' if torch.isfinite(batch['intrinsics']).all() else 'NOT finite'}")
-    for precision in ("bf16", "float32") if bf16 else ("float32",):
+    for precision in dict.fromkeys((state["precision"], "float32")):
         stage.train().zero_grad()
         with torch.autocast(batch["images"].device.type, torch.bfloat16, enabled=precision == "bf16"):
             losses = stage(batch).losses

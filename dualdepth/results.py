@@ -31,7 +31,7 @@ CODE = {
     ),
     "train_lr": (
         *("networks.encoders", "networks.decoder", "networks.lr_net", "networks.pose_net", "geometry", "losses", "stages", "training"),
-        *("building", "data.bad_frames"),
+        *("building", "precision", "data.bad_frames"),
         *("data.augmentation", "data.loading", "data.kitti", "data.triplets"),
     ),
     "train_hr": ("networks.hr_net", "networks.attention", "networks.dual_net", "networks.architecture", "hr_stage"),

@@ -170,8 +170,9 @@ class Training(Settings):
     """Stage 2: HR-Net and SA-Attention beside a frozen LR-Net; PoseNet goes on from stage 1."""
     augmentation: Augmentation = Augmentation()
     loss: Loss = Loss()
-    precision: Literal["float32", "bf16"] = "bf16"
-    """Of the networks; geometry and losses are always float32."""
+    precision: Literal["auto", "float32", "bf16"] = "auto"
+    """Of the networks; geometry and losses are always float32. `auto`: bf16 where the device computes in it, which is faster there, else
+    float32; a training ends in the precision in which it began, and its card says which that was."""
     channels_last: bool = True
     workers: int = Field(2, ge=0)
     """Loader processes."""

@@ -21,6 +21,7 @@ from dualdepth.data.loading import StatelessBatches, TripletDataset, make_loader
 from dualdepth.data.triplets import Triplet
 from dualdepth.errors import InputError
 from dualdepth.faults import StopRequested, one_line_errors, write_failure
+from dualdepth.precision import choose_precision
 from dualdepth.results import device_name
 from dualdepth.sections import Stage
 from dualdepth.training_log import TrainingLog, combine
@@ -75,7 +76,11 @@ def train(
     folder, settings = Path(folder), profile.training
     # heads of scales that the loss does not look at get no gradient
     ddp = DistributedDataParallelKwargs(find_unused_parameters=settings.loss.scales < 4)
-    accelerator = Accelerator(cpu=ranks.on_cpu(), mixed_precision="bf16" if settings.precision == "bf16" else "no", kwargs_handlers=[ddp])
+    checkpoint = last_checkpoint(folder, lambda line: print(line) if ranks.is_main() else None)
+    resumed = bool(checkpoint) and checkpoint["recipe"] == recipe
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    precision = checkpoint["precision"] if resumed else choose_precision(settings.precision, device, profile.data.lr_size)
+    accelerator = Accelerator(cpu=ranks.on_cpu(), mixed_precision="bf16" if precision == "bf16" else "no", kwargs_handlers=[ddp])
     main = accelerator.is_main_process
     if main:
         check_writable(folder)
@@ -89,12 +94,11 @@ def train(
     optimizer = torch.optim.Adam(trained, lr=stage.learning_rates[0][1], betas=(stage.beta1, stage.beta2))
     total, start = total_steps(stage, len(triplets)), 0
     parts = settings.accumulate * accelerator.num_processes  # of a batch; batch norm sees each by itself
-    checkpoint = last_checkpoint(folder, accelerator.print)
-    if checkpoint and checkpoint["recipe"] == recipe:
+    if resumed:
         model.load_state_dict(checkpoint["model"])
         optimizer.load_state_dict(checkpoint["optimizer"])
         start = checkpoint["step"]
-        accelerator.print(f"resuming {folder} at step {start} of {total}")
+        accelerator.print(f"resuming {folder} at step {start} of {total}, in {precision}")
         if checkpoint["parts"] != parts:
             accelerator.print(f"batches were cut in {checkpoint['parts']}, now in {parts}: same samples, other batch norm, other digits")
     elif checkpoint:
@@ -129,13 +133,13 @@ def train(
 
     def save(step: int) -> None:
         if main:
-            checkpoints.save(step, accelerator.unwrap_model(model), optimizer, recipe=recipe, parts=parts)
+            checkpoints.save(step, accelerator.unwrap_model(model), optimizer, recipe=recipe, parts=parts, precision=precision)
 
     def check_finite(what: str, value: torch.Tensor, step: int, names: Sequence[str], batch: dict[str, Any]) -> None:
         if not torch.isfinite(value):
             # no checkpoint: the forward pass may have spoilt batch norm's statistics; the last one stays
             rank = f"_rank{accelerator.process_index}" if accelerator.num_processes > 1 else ""
-            kept = write_failure(folder / f"failure{rank}.pt", what, step, names, accelerator.unwrap_model(model), batch)
+            kept = write_failure(folder / f"failure{rank}.pt", what, step, names, accelerator.unwrap_model(model), batch, precision)
             raise InputError(
                 f"{folder}: {what} is {value.item()} at step {step}, frames {', '.join(names)}; to look into it: dualdepth replay {kept}"
             )
@@ -184,7 +188,12 @@ def train(
     weights = folder / "model.safetensors"
     if main:
         done = {"steps": total, "seconds_of_last_run": round(seconds, 1), "resumed_at": start, "device": device_name()}
-        done |= {"batch_parts": parts, "last_losses": log.last(), "skipped": bad_frames.reasons() if bad_frames else {}}
+        done |= {
+            "precision": precision,
+            "batch_parts": parts,
+            "last_losses": log.last(),
+            "skipped": bad_frames.reasons() if bad_frames else {},
+        }
         log.close()
         save_weights(weights, accelerator.unwrap_model(model), card | {"seed": seed, "recipe": recipe} | done)
         for path in checkpoint_paths(folder):

@@ -199,7 +199,7 @@ def test_a_failed_save_leaves_the_checkpoint_before_it(tmp_path, monkeypatch, er
     with pytest.raises(OSError, match=r"No space left|failed writing"):
         save_checkpoint(tmp_path, 8, net, optimizer, recipe="abc")
     told = []
-    Checkpointer(tmp_path, 1, 1, 1, told.append).save(8, net, optimizer, recipe="abc", parts=1)
+    Checkpointer(tmp_path, 1, 1, 1, told.append).save(8, net, optimizer, recipe="abc", parts=1, precision="float32")
     assert len(told) == 1 and "step 8 was not written" in told[0] and before.name in told[0]
     assert last_checkpoint(tmp_path)["step"] == 7
     assert list(tmp_path.iterdir()) == [before]
@@ -213,7 +213,7 @@ def test_a_checkpoint_is_due_by_steps_and_by_time(tmp_path, monkeypatch):
     assert [step for step in range(1, 31) if checkpointer.due(step)] == [10, 20, 30]
     now[0] += 121
     assert checkpointer.due(3)
-    checkpointer.save(3, net, optimizer, recipe="abc", parts=1)
+    checkpointer.save(3, net, optimizer, recipe="abc", parts=1, precision="float32")
     assert not checkpointer.due(4)
 
 

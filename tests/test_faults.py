@@ -31,9 +31,9 @@ def batch_of(profile, value=None):
 
 def test_a_kept_batch_is_computed_again_to_the_same_loss(stage, trained, tmp_path):  # noqa: F811
     batch = batch_of(trained.profile)
-    path = write_failure(tmp_path / "failure.pt", "gradient", 7, ["a", "b"], stage.train(), batch)
+    path = write_failure(tmp_path / "failure.pt", "gradient", 7, ["a", "b"], stage.train(), batch, "float32")
     expected = stage(batch).losses.total.item()
-    lines = replay(load_failure(path), LRStage(trained.profile), bf16=False)
+    lines = replay(load_failure(path), LRStage(trained.profile))
     assert lines[:3] == ["step 7: gradient was not finite", "frame a", "frame b"]
     assert f"float32: total {expected:.6g}" in "\n".join(lines)
     assert "weights: finite" in lines and "float32: gradients: finite" in lines
@@ -42,8 +42,8 @@ def test_a_kept_batch_is_computed_again_to_the_same_loss(stage, trained, tmp_pat
 def test_replay_names_what_is_not_finite(stage, trained, tmp_path):  # noqa: F811
     with torch.no_grad():
         stage.pose_net.layers[-1].bias[0] = torch.nan
-    path = write_failure(tmp_path / "failure.pt", "loss", 1, ["a", "b"], stage, batch_of(trained.profile, torch.inf))
-    text = "\n".join(replay(load_failure(path), LRStage(trained.profile), bf16=True))
+    path = write_failure(tmp_path / "failure.pt", "loss", 1, ["a", "b"], stage, batch_of(trained.profile, torch.inf), "bf16")
+    text = "\n".join(replay(load_failure(path), LRStage(trained.profile)))
     assert "weights: NOT finite in pose_net.layers" in text
     assert "intrinsics: NOT finite" in text
     assert "bf16: total" in text and "float32: total" in text
@@ -52,7 +52,7 @@ def test_replay_names_what_is_not_finite(stage, trained, tmp_path):  # noqa: F81
 def test_the_command_finds_the_training_by_the_files_place(trained, monkeypatch, tmp_path, capsys):  # noqa: F811
     stage = LRStage(trained.profile)
     folder = trained.training("lr", 0)
-    path = write_failure(folder / "failure.pt", "loss", 3, [f"{DRIVE} 1"], stage, batch_of(trained.profile))
+    path = write_failure(folder / "failure.pt", "loss", 3, [f"{DRIVE} 1"], stage, batch_of(trained.profile), "float32")
     monkeypatch.chdir(trained.root)
     try:
         assert main(["replay", str(path), "--profile", "own.yaml"]) == 0

@@ -190,6 +190,19 @@ def test_random_draws_inside_a_network_are_the_same_after_a_stop(run):
     assert not equal(run("plain"), whole)
 
 
+def test_a_training_ends_in_the_precision_in_which_it_began(run, profile_of, tmp_path, monkeypatch, capsys):
+    """`auto` means another one on the machine where it goes on."""
+    profile = profile_of(training={"precision": "auto"}, hr_size=WIDE)
+    monkeypatch.setattr("dualdepth.precision.has_bf16", lambda device: False)
+    whole = run("whole", profile=profile)
+    with pytest.raises(SystemExit):
+        run("cut", profile=profile, make_model=at_forward(3, kill_softly))
+    monkeypatch.setattr("dualdepth.precision.has_bf16", lambda device: True)
+    assert equal(run("cut", profile=profile), whole)
+    assert "in float32" in capsys.readouterr().out
+    assert load_card(tmp_path / "cut/model.safetensors")["precision"] == "float32"
+
+
 def test_a_checkpoint_of_another_recipe_is_not_resumed(run, tmp_path, capsys):
     with pytest.raises(SystemExit):
         run("cut", make_model=at_forward(3, kill_softly), recipe="old", seed=5)

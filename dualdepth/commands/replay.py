@@ -34,5 +34,5 @@ def replay(arguments: argparse.Namespace) -> int:
     name = folder.parent.name
     variant, profile = run.profile.variant(name), run.profile.of_variant(name)
     stage = make_stage(profile, variant, start_weights(run, variant, int(folder.name[4:])))
-    print("\n".join(faults.replay(state, stage, bf16=profile.training.precision == "bf16")))
+    print("\n".join(faults.replay(state, stage)))
     return 0

@@ -5,14 +5,14 @@ import statistics
 import time
 import weakref
 from collections.abc import Callable, Iterator
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, NamedTuple, get_args
 
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 from torch.utils.flop_counter import FlopCounterMode
 
-Precision = Literal["float32", "bf16"]
+from dualdepth.precision import Precision
 
 
 class Cost(NamedTuple):
