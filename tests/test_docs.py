@@ -26,6 +26,7 @@ from doc_commands import (
 
 from dualdepth.config import Profile, load_profile
 from dualdepth.data.trajectories import write_trajectory
+from dualdepth.training import total_steps
 
 DRIVE = "2011_09_26/2011_09_26_drive_0052_sync"
 
@@ -205,3 +206,13 @@ def test_pieces_of_profiles_are_valid(page):
             profile = Profile.model_validate(values)
             for name in profile.train:
                 profile.of_variant(name)
+
+
+def test_steps_in_the_page_on_scale_are_those_of_the_profiles():
+    text = (REPOSITORY / "docs" / "scale.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| `(\w+)` \| (\d+) \| (\d+) \|$", text, re.MULTILINE)
+    assert len(rows) > 10
+    for name, variant, triplets, steps in rows:
+        profile = load_profile(name)
+        stage = getattr(profile.of_variant(variant).training, profile.variant(variant).stage)
+        assert total_steps(stage, int(triplets)) == int(steps), f"{name}, {variant}"
