@@ -1,0 +1,218 @@
+"""README, CONTRIBUTING and docs/: links lead somewhere, settings exist, commands are what the programs take, short ones run."""
+
+import re
+import shlex
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from doc_commands import (
+    PAGES,
+    REPOSITORY,
+    Command,
+    dry_make,
+    dry_program,
+    dry_pytest,
+    dry_torchrun,
+    fenced_commands,
+    fences,
+    inline_code,
+    inline_commands,
+    program,
+    trust,
+)
+
+from dualdepth.config import Profile, load_profile
+from dualdepth.data.trajectories import write_trajectory
+from dualdepth.training import total_steps
+
+DRIVE = "2011_09_26/2011_09_26_drive_0052_sync"
+
+# A command belongs to the longest entry that its words begin with. EXECUTED run on the files of `small_world`, whose names are those that
+# the pages use; DRY are only parsed, and say by what. A new command needs a line in one of the two; its options do not.
+EXECUTED = (
+    "dualdepth evaluate depth",
+    "dualdepth evaluate odometry",
+    "dualdepth --help",
+    "python data_scripts/export_depth.py",
+)
+DRY = {
+    # long, or in need of KITTI, a network, a GPU or a cluster
+    "make": dry_make,
+    "dualdepth reproduce": dry_program,
+    "dualdepth status": dry_program,
+    "dualdepth train": dry_program,
+    "dualdepth replay": dry_program,
+    "python data_scripts/prepare_data.py": dry_program,
+    "python data_scripts/download_kitti.py": dry_program,
+    "python data_scripts/download_make3d.py": dry_program,
+    "python data_scripts/export_labels.py": dry_program,
+    "python -m dualdepth.bench": dry_program,
+    "python -m pytest": dry_pytest,
+    "torchrun": dry_torchrun,
+    "srun": dry_torchrun,
+    "pip install": trust,
+    ". .venv/bin/activate": trust,
+}
+
+
+def entry_of(command: Command) -> str | None:
+    """The longest entry that a command begins with."""
+    entries = [e for e in (*EXECUTED, *DRY) if command.words[: len(e.split())] == e.split()]
+    return max(entries, key=len, default=None)
+
+
+def named(command: Command) -> str:
+    return f"{command.page}: {' '.join(command.words)}"
+
+
+@pytest.fixture
+def small_world(tmp_path, monkeypatch):
+    """The files that the pages' examples name, small, in the working directory; `replace` puts them in place of a reader's folders."""
+    monkeypatch.chdir(tmp_path)
+    day = tmp_path / "kitti_raw" / "2011_09_26"
+    rng = np.random.default_rng(0)
+    for index in range(2):
+        for camera in ("image_02", "velodyne_points"):
+            (day.parent / DRIVE / camera / "data").mkdir(parents=True, exist_ok=True)
+        scan = np.column_stack([rng.uniform(5, 40, 2000), rng.uniform(-8, 8, (2000, 2)), np.ones(2000)])
+        scan.astype("<f4").tofile(day.parent / DRIVE / "velodyne_points" / "data" / f"{index:010d}.bin")
+        cv2.imwrite(str(day.parent / DRIVE / "image_02" / "data" / f"{index:010d}.png"), rng.integers(0, 255, (48, 160, 3), np.uint8))
+    (day / "calib_velo_to_cam.txt").write_text("R: 0 -1 0 0 0 -1 1 0 0\nT: 0 0 -0.27\n")
+    (day / "calib_cam_to_cam.txt").write_text("S_rect_02: 160 48\nR_rect_00: 1 0 0 0 1 0 0 0 1\nP_rect_02: 80 0 80 0 0 80 24 0 0 0 1 0\n")
+    Path("frames.txt").write_text("".join(f"{DRIVE} {index:010d} l\n" for index in range(2)))
+    np.save("disparities.npy", rng.uniform(0.02, 0.2, (2, 16, 52)).astype(np.float32))
+    np.save("depths.npy", rng.uniform(5, 50, (2, 16, 52)).astype(np.float32))
+    np.savez("gt.npz", **{f"{i:06d}": rng.uniform(2, 70, (48, 160)).astype(np.float32) for i in range(2)})
+    poses = np.tile(np.eye(4), (300, 1, 1))
+    poses[:, 2, 3] = np.arange(300)
+    Path("poses").mkdir()
+    write_trajectory("poses/09.txt", poses)
+    write_trajectory("09.txt", poses)
+    replace = {"/data/kitti_raw": str(day.parent)}
+    return lambda words: [replace.get(word, word) for word in words]
+
+
+def test_there_are_commands():
+    """The reader of fences has not gone blind."""
+    assert {entry_of(c) for c in fenced_commands() if c.page == "README.md"} >= {*EXECUTED[:2], EXECUTED[3], "make", "torchrun", "srun"}
+
+
+@pytest.mark.parametrize("command", fenced_commands(), ids=named)
+def test_every_command_runs_on_small_data_or_is_dry_run(command, small_world, monkeypatch, capsys):
+    entry = entry_of(command)
+    assert entry, f"{named(command)}: a new command; add it to EXECUTED or DRY in tests/test_docs.py"
+    if entry in DRY:
+        DRY[entry](command.words, monkeypatch)
+        return
+    main, arguments = program(small_world(command.words))
+    try:
+        code = main(arguments)
+    except SystemExit as stop:
+        code = stop.code
+    assert not code, capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", inline_commands(), ids=named)
+def test_commands_in_prose_are_known(command, monkeypatch):
+    """`dualdepth status` in a sentence mentions a command; one with options is a command to type."""
+    entry = entry_of(command)
+    assert entry, f"{named(command)}: unknown; add it to EXECUTED or DRY in tests/test_docs.py"
+    mention = entry not in DRY or DRY[entry] is dry_program
+    if mention and not any(word.startswith("-") for word in command.words[1:] if word != "-m"):
+        command = command._replace(text=f"{' '.join(map(shlex.quote, command.words))} --help")
+    DRY.get(entry, dry_program)(command.words, monkeypatch)
+
+
+def test_a_misspelt_option_is_noticed(monkeypatch, capsys):
+    """The check of commands checks."""
+    for text in ("dualdepth train --profil_e paper", "python data_scripts/export_depth.py --lists x"):
+        with pytest.raises(SystemExit):
+            dry_program(Command("", text).words, monkeypatch)
+    for text in ("make reproduce PROFIL=paper", "make nothing"):
+        with pytest.raises(AssertionError):
+            dry_make(Command("", text).words, monkeypatch)
+    assert entry_of(Command("", "dualdepth nothing --like it")) is None
+
+
+def links(page):
+    """Relative link targets of a page, as (path, anchor)."""
+    text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    targets = [target for target in re.findall(r"\]\(([^)\s]+)\)", text) if not re.match(r"[a-z]+:", target)]
+    return [target.partition("#")[::2] for target in targets]
+
+
+def anchors(page):
+    """Anchors of a page's headings, as GitHub makes them."""
+    text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    headings = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_to_files_and_headings(page):
+    for path, anchor in links(page):
+        target = page.parent / path if path else page
+        assert target.exists(), f"{page.name} links to {path}, which is not there"
+        assert not anchor or anchor in anchors(target), f"{page.name} links to #{anchor} of {target.name}, which has no such heading"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_files_that_are_named_exist(page):
+    """`dualdepth/sections.py` in prose is a file of the repository; what a run writes, or a pattern, is none."""
+    for code in inline_code(page):
+        if re.fullmatch(r"(dualdepth|data_scripts|tests|docs|cluster|experiments|notebooks)/[\w./-]*", code):
+            assert (REPOSITORY / code).exists(), f"{page.name} names {code}, which is not there"
+
+
+def setting_names(model=Profile, prefix=""):
+    """Dotted names of all settings of a profile."""
+    for name, field in model.model_fields.items():
+        yield f"{prefix}{name}"
+        for kind in (field.annotation, *getattr(field.annotation, "__args__", ())):
+            if hasattr(kind, "model_fields"):
+                yield from setting_names(kind, f"{prefix}{name}.")
+
+
+SETTINGS = set(setting_names())
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_settings_that_are_named_exist(page):
+    sections = {name for name in SETTINGS if "." not in name}
+    leaves = {name.rpartition(".")[2] for name in SETTINGS}
+    for code in inline_code(page):
+        name, colon, _ = code.partition(": ")
+        if not re.fullmatch(r"[a-z_]\w*(\.\w+)*", name) or name.endswith((".py", ".yaml", ".json", ".csv")):
+            continue
+        if name.partition(".")[0] in sections and "." in name:
+            assert name in SETTINGS, f"{page.name} names the setting {name}, which is none"
+        elif colon:
+            assert name in leaves, f"{page.name} names the setting {name}, which is none"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_pieces_of_profiles_are_valid(page):
+    """A fence of YAML is part of a profile: with the rest of `paper` it is one."""
+
+    def merged(base, change):
+        return base | {k: merged(base[k], v) if isinstance(base.get(k), dict) and k != "train" else v for k, v in change.items()}
+
+    for language, content in fences(page):
+        if language == "yaml":
+            values = merged(load_profile("paper").model_dump(), yaml.safe_load(content))
+            profile = Profile.model_validate(values)
+            for name in profile.train:
+                profile.of_variant(name)
+
+
+def test_steps_in_the_page_on_scale_are_those_of_the_profiles():
+    text = (REPOSITORY / "docs" / "scale.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| `(\w+)` \| (\d+) \| (\d+) \|$", text, re.MULTILINE)
+    assert len(rows) > 10
+    for name, variant, triplets, steps in rows:
+        profile = load_profile(name)
+        stage = getattr(profile.of_variant(variant).training, profile.variant(variant).stage)
+        assert total_steps(stage, int(triplets)) == int(steps), f"{name}, {variant}"
