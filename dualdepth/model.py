@@ -19,6 +19,9 @@ from dualdepth.networks.architecture import Architecture
 from dualdepth.predict import load_depth_net
 
 Precision = Literal["float32", "bf16"]
+UNIT = 16.0
+"""Depth = 16 / disparity: relative depth has no unit of its own, and by this one it begins at 1.6, so that depth × 256, as KITTI's
+16-bit PNG has it, resolves the nearest to 0.25 % and reaches to 160 times as far (1600, the network's last, is beyond)."""
 WEIGHTS = "model.safetensors"
 README = """---
 library_name: dualdepth
@@ -113,7 +116,7 @@ class DepthModel(ModelHubMixin):
                 uint8 RGB. Any size and aspect ratio: it is resized to the network's size.
 
         Returns:
-            (H, W) float32, positive: depth in an unknown unit, of the image's own size.
+            (H, W) float32, positive: depth in an unknown unit (16 / the network's disparity, so from 1.6 to 1600), at the image's size.
 
         Raises:
             InputError: the file is missing, broken or no image, or the array is of another shape or type.
@@ -124,7 +127,7 @@ class DepthModel(ModelHubMixin):
         """Depths of some images, of any sizes, computed together; see `predict`."""
         arrays = [_rgb(image) for image in images]
         views = np.stack([resize(array, self.size) for array in arrays]).transpose(0, 3, 1, 2)
-        return [resized(1.0 / disparity, array.shape[:2]) for disparity, array in zip(self._disparities(views), arrays)]
+        return [resized(np.float32(UNIT) / disparity, array.shape[:2]) for disparity, array in zip(self._disparities(views), arrays)]
 
     @torch.inference_mode()
     def _disparities(self, views: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ from dualdepth.inference.camera import Camera, point_cloud
 from dualdepth.inference.pictures import Range, colour_picture, side_by_side
 
 PNG_FACTOR = 256
-"""A PNG's value / 256 is the depth, as in KITTI's depth maps; the nearest that the network can say, 0.1, is 26."""
+"""A PNG's value / 256 is the depth, as in KITTI's depth maps."""
 SUFFIXES = {"depth": ".depth.png", "colour": ".colour.png", "side": ".side.png", "npy": ".depth.npy", "ply": ".ply"}
 """Endings of an image's results, by kind."""
 SIDE_VIDEO = ".side.mp4"
@@ -30,7 +30,7 @@ class Style(NamedTuple):
     @property
     def unit(self) -> str:
         """What a number in a result is."""
-        return "relative depth" if self.scale == 1 else f"relative depth x {self.scale:g}"
+        return "relative depth" if self.scale == 1 else f"relative depth x{self.scale:g}"
 
 
 def save(kind: str, path: Path, image: np.ndarray, depth: np.ndarray, style: Style, colours: Range | None = None) -> None:

@@ -79,7 +79,7 @@ class Predictor:
     def tell(self, trouble: str) -> None:
         """Note that an input is broken, and say so."""
         self.troubles.append(trouble)
-        tqdm.write(f"skipped: {trouble}", file=sys.stderr)
+        tqdm.write(f"broken: {trouble}", file=sys.stderr)
 
     def _images(self, tasks: Sequence[Task], pool: Executor, most: int) -> None:
         with _bar(len(tasks), "predicting", "image") as bar:

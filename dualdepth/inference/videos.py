@@ -30,7 +30,9 @@ class Video:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
+        level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)  # a file that cannot be opened is this class's to tell
         self._capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+        cv2.utils.logging.setLogLevel(level)
         count, rate = self._capture.get(cv2.CAP_PROP_FRAME_COUNT), self._capture.get(cv2.CAP_PROP_FPS)
         self.announced = int(count) if 0 < count < 1e9 else None
         """Frames that the file says it has; None where it does not say."""
