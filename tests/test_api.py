@@ -24,7 +24,9 @@ def test_the_example_of_each_public_name_runs(name):
     assert sum(doctest.DocTestRunner().run(test).failed for test in found) == 0
 
 
-@pytest.mark.parametrize("name", ["DepthModel.predict", "DepthModel.predict_batch", "DepthModel.from_pretrained", "DepthModel.about", "load"])
+@pytest.mark.parametrize(
+    "name", ["DepthModel.predict", "DepthModel.predict_batch", "DepthModel.from_pretrained", "DepthModel.about", "load"]
+)
 def test_what_a_user_calls_says_what_it_takes_and_gives(name):
     found = dualdepth
     for part in name.split("."):

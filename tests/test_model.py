@@ -14,6 +14,7 @@ from torch import nn
 import dualdepth
 from dualdepth.checkpoints import save_weights
 from dualdepth.model import UNIT, choose_device, choose_precision
+from dualdepth.networks.decoder import DepthOutput
 from dualdepth.predict import load_depth_net, predict_disparities
 
 CARD = {"network": "hr", "hr_size": [192, 288], "about": "a net, trained on 7 triplets: a test world", "drives": ["a/b"]}
@@ -64,7 +65,9 @@ def test_images_of_several_sizes_are_predicted_together_as_one_by_one(model):
 
 
 @pytest.mark.parametrize(
-    "image", [np.zeros((4, 4)), np.zeros((4, 4, 3)), np.zeros((4, 4, 4), np.uint8), np.zeros((0, 4, 3), np.uint8)], ids=lambda a: str(a.shape)
+    "image",
+    [np.zeros((4, 4)), np.zeros((4, 4, 3)), np.zeros((4, 4, 4), np.uint8), np.zeros((0, 4, 3), np.uint8)],
+    ids=lambda a: str(a.shape),
 )
 def test_arrays_that_are_no_images_are_refused(model, image):
     with pytest.raises(dualdepth.InputError, match=r"give a file, or \(H, W, 3\) uint8 RGB"):
@@ -168,5 +171,14 @@ def test_device_and_precision_are_chosen_and_settable(monkeypatch):
         choose_precision("fp8", torch.device("cpu"))
 
 
-def test_bf16_gives_nearly_the_same(folder, model):
-    np.testing.assert_allclose(dualdepth.load(folder, "cpu", "bf16").predict(wall(60, 80)), model.predict(wall(60, 80)), rtol=0.1)
+@pytest.mark.parametrize(("precision", "dtype"), [("float32", torch.float32), ("bf16", torch.bfloat16)])
+def test_the_network_computes_in_the_precision_and_depth_is_float32(precision, dtype):
+    class Seen(nn.Module):
+        def forward(self, image, scales):
+            found = nn.functional.conv2d(image, torch.ones(1, 3, 1, 1))
+            self.dtype = found.dtype
+            return DepthOutput([found.abs() + 1], found)
+
+    seen = Seen()
+    depth = dualdepth.DepthModel(CARD, seen, device="cpu", precision=precision).predict(wall(60, 80))
+    assert (seen.dtype, depth.dtype) == (dtype, np.float32)

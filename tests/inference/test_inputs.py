@@ -9,7 +9,18 @@ from dualdepth.inference.inputs import find_inputs, is_video
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for name in ("b.jpg", "a.PNG", "c.mp4", "ü x.tif", "notes.txt", ".hidden.png", "a.depth.png", "a.colour.png", "c.side.mp4", "sub/d.png"):
+    for name in (
+        "b.jpg",
+        "a.PNG",
+        "c.mp4",
+        "ü x.tif",
+        "notes.txt",
+        ".hidden.png",
+        "a.depth.png",
+        "a.colour.png",
+        "c.side.mp4",
+        "sub/d.png",
+    ):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
     (tmp_path / "folder.png").mkdir()
@@ -38,7 +49,9 @@ def test_a_file_is_taken_whatever_it_is_called(folder):
     assert names(find_inputs(["notes.txt", "a.depth.png", "[1].png"])) == ["notes.txt", "a.depth.png", "[1].png"]
 
 
-@pytest.mark.parametrize(("given", "said"), [("gone.png", "no such file or folder"), ("*.xyz", "no images or videos"), ("empty", "no images")])
+@pytest.mark.parametrize(
+    ("given", "said"), [("gone.png", "no such file or folder"), ("*.xyz", "no images or videos"), ("empty", "no images")]
+)
 def test_what_is_not_there_is_named(folder, given, said):
     (folder / "empty").mkdir()
     with pytest.raises(InputError, match=rf"^{given.replace('*', '.')}: {said}"):

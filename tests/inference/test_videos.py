@@ -95,4 +95,4 @@ def test_damaged_videos_end_or_are_refused(clip, tmp_path, share):
     try:
         assert sum(1 for _ in Video(path).frames()) <= 13
     except InputError as error:
-        assert "damaged.avi" in str(error)  # noqa: PT017
+        assert "damaged.avi" in str(error)
