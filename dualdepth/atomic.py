@@ -44,9 +44,9 @@ def _flush_folder(folder: Path) -> None:
 _PARTIAL = re.compile(r"\..+\.[0-9a-f]{8}\.part(\.\w+)?")
 
 
-def remove_leftovers(folder: str | Path) -> int:
-    """Remove the temporary files that killed writers left in a folder and below; for who holds its lock. Returns how many there were."""
-    found = [path for path in Path(folder).rglob(".*.part*") if _PARTIAL.fullmatch(path.name)]
+def remove_leftovers(folder: str | Path, below: bool = True) -> int:
+    """Remove the temporary files that killed writers left in a folder, and `below` it; for who holds its lock. Returns how many."""
+    found = [path for path in Path(folder).glob("**/.*.part*" if below else ".*.part*") if _PARTIAL.fullmatch(path.name)]
     for path in found:
         path.unlink(missing_ok=True)
     return len(found)

@@ -18,6 +18,7 @@ from dualdepth.atomic import atomic_path, write_json
 from dualdepth.errors import InputError
 from dualdepth.precision import Precision
 
+HUB_CARD = "config.json"
 KEYS = {"recipe", "parts", "precision", "step", "model", "optimizer"}
 
 
@@ -155,8 +156,8 @@ class Checkpointer:
             self.say(f"warning: checkpoint of step {step} was not written ({error}); {kept}, training goes on")
 
 
-def save_weights(path: str | Path, model: nn.Module, card: dict[str, Any]) -> None:
-    """Write weights as safetensors and beside them `<name>.json`, the card, with the weights' sha256 in it.
+def save_weights(path: str | Path, model: nn.Module, card: dict[str, Any], card_name: str | None = None) -> None:
+    """Write weights as safetensors and beside them `<name>.json`, or `card_name`, the card, with the weights' sha256 in it.
 
     The card goes first, so that weights are never there without one.
 
@@ -168,18 +169,22 @@ def save_weights(path: str | Path, model: nn.Module, card: dict[str, Any]) -> No
     try:
         with atomic_path(path) as partial:
             save_file(tensors, partial)
-            write_json(path.with_suffix(".json"), card | {"sha256": hashlib.sha256(partial.read_bytes()).hexdigest()})
+            write_json(
+                path.with_name(card_name or f"{path.stem}.json"), card | {"sha256": hashlib.sha256(partial.read_bytes()).hexdigest()}
+            )
     except (OSError, SafetensorError) as error:
         raise InputError(f"{path}: could not be written ({error}); free space, then the same command goes on from the checkpoint") from None
 
 
 def load_card(path: str | Path) -> dict[str, Any]:
-    """Read the card of a weights file.
+    """Read the card of a weights file: `<name>.json` beside it, or else `config.json`, as the model hub has it.
 
     Raises:
         InputError: there is none, or it is not JSON.
     """
     card = Path(path).with_suffix(".json")
+    if not card.exists() and card.with_name(HUB_CARD).exists():
+        card = card.with_name(HUB_CARD)
     try:
         values = json.loads(card.read_text(encoding="utf-8"))
         if not isinstance(values, dict):

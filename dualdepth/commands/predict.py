@@ -1,0 +1,110 @@
+"""`dualdepth predict`: depth of images, folders and videos with trained weights."""
+
+import argparse
+
+KINDS = ("colour", "depth", "side", "npy", "ply")
+
+
+def add_predict(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add the subcommand `predict`."""
+    parser = commands.add_parser(
+        "predict",
+        help="depth of images, folders and videos with trained weights",
+        description="Predict relative depth of images and videos of any size, at their own size. Depth is relative: its unit is unknown."
+        " A broken file is named and skipped, and the exit code is then 1. The same command goes on where it was stopped: results that"
+        " are there are skipped, unless their file, the weights, or what shapes them has changed.",
+    )
+    parser.add_argument("inputs", nargs="+", metavar="INPUT", help="image, video, folder of them, or pattern in quotes ('in/**/*.jpg')")
+    parser.add_argument(
+        "--weights",
+        required=True,
+        metavar="W",
+        help="model.safetensors with its card beside it, its folder, or owner/name on the model hub",
+    )
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder of the results; predictions.jsonl in it says what is what")
+    parser.add_argument(
+        "--save",
+        type=_kinds,
+        metavar="KINDS",
+        help="some of colour (picture with a bar), depth (16-bit PNG, value / 256 as KITTI's), side (image and colours side by side; of a"
+        " video an MP4), npy (float32 array), ply (point cloud), with commas, or all (default: colour,depth of an image, side of a video;"
+        " the others are made of each frame of a video)",
+    )
+    parser.add_argument("--device", metavar="D", help="cpu, cuda, cuda:1, mps (default: a GPU where there is one)")
+    parser.add_argument("--precision", choices=("float32", "bf16"), help="(default: bf16 on a CUDA GPU that has it, else float32)")
+    parser.add_argument("--batch-size", type=int, metavar="N", help="images computed together (default: 16 on a GPU or what fits, else 1)")
+    parser.add_argument(
+        "--scale",
+        type=float,
+        default=1.0,
+        metavar="S",
+        help="what depth is multiplied by in all results, such as metres per unit (default: 1)",
+    )
+    camera = parser.add_mutually_exclusive_group()
+    camera.add_argument("--intrinsics", type=float, nargs=4, metavar=("FX", "FY", "CX", "CY"), help="in pixels of the input, for ply")
+    camera.add_argument("--focal", type=float, metavar="PX", help="focal length in pixels of the input, for ply")
+    camera.add_argument("--fov", type=float, metavar="DEG", help="horizontal field of view, for ply (default: KITTI's 81.4 degrees)")
+    parser.add_argument("--overwrite", action="store_true", help="make results again that are there")
+    parser.set_defaults(run=predict)
+
+
+def predict(arguments: argparse.Namespace) -> int:
+    """Predict all inputs and say what came of it; 1 where some were broken.
+
+    Raises:
+        InputError: an input or the weights are not there, an option is out of its range, or results cannot be written.
+    """
+    import math
+    from pathlib import Path
+
+    from dualdepth.errors import InputError
+    from dualdepth.inference.camera import KITTI_FIELD_OF_VIEW, Camera
+    from dualdepth.inference.inputs import find_inputs
+
+    if not (math.isfinite(arguments.scale) and arguments.scale > 0):
+        raise InputError(f"--scale {arguments.scale}: must be a positive number")
+    if arguments.batch_size is not None and arguments.batch_size < 1:
+        raise InputError(f"--batch-size {arguments.batch_size}: must be at least 1")
+    fov = KITTI_FIELD_OF_VIEW if arguments.fov is None else arguments.fov
+    camera = Camera(tuple(arguments.intrinsics) if arguments.intrinsics else None, arguments.focal, fov).check()
+    paths = find_inputs(arguments.inputs)
+
+    from dualdepth.atomic import check_writable, remove_leftovers
+    from dualdepth.inference.journal import Journal
+    from dualdepth.inference.outputs import Style
+    from dualdepth.inference.running import Predictor
+    from dualdepth.inference.tasks import plan
+    from dualdepth.lock import locked
+    from dualdepth.memory import keep_freed_memory
+    from dualdepth.model import load
+
+    keep_freed_memory()
+    model = load(arguments.weights, arguments.device, arguments.precision)
+    print(f"{arguments.weights}: {model.about}", flush=True)
+    out, style, weights = Path(arguments.out), Style(model.about, arguments.scale, camera), str(model.card.get("sha256"))
+    check_writable(out)
+    with locked(out / ".predict.lock"):
+        remove_leftovers(out, below=False)
+        journal = Journal(out)
+        tasks = plan(paths, out, journal, weights, style, arguments.save, arguments.overwrite)
+        predictor = Predictor(model, out, journal, weights, style, arguments.batch_size)
+        todo = [task for task in tasks if task.kinds]
+        if any("ply" in task.kinds for task in todo):
+            print(f"point clouds: {camera}")
+        print(f"{len(todo)} of {len(tasks)} inputs to predict on {model.device} in {model.precision}", flush=True)
+        predictor.run(todo)
+        for task in tasks:
+            if task.trouble and not task.kinds:
+                predictor.tell(f"{task.path}: {task.trouble}")
+    there = f", {len(tasks) - len(todo)} were there" if len(todo) < len(tasks) else ""
+    broken = f", {len(predictor.troubles)} broken" if predictor.troubles else ""
+    print(f"{out}: {predictor.made} predicted{there}{broken}")
+    return 1 if predictor.troubles else 0
+
+
+def _kinds(words: str) -> tuple[str, ...]:
+    """Kinds of results, each once."""
+    kinds = tuple(dict.fromkeys(KINDS if words == "all" else words.split(",")))
+    if unknown := [kind for kind in kinds if kind not in KINDS]:
+        raise argparse.ArgumentTypeError(f"{unknown[0]!r} is unknown: choose some of {', '.join(KINDS)}, with commas, or all")
+    return kinds

@@ -1,0 +1,1 @@
+"""From files to files: what `dualdepth predict` reads and writes."""

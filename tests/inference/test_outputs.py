@@ -1,0 +1,114 @@
+"""Results say what they are, and hold the depth that was predicted."""
+
+import math
+
+import cv2
+import numpy as np
+import PIL.Image
+import pytest
+from small_kitti import wall
+
+from dualdepth.errors import InputError
+from dualdepth.inference.camera import Camera
+from dualdepth.inference.outputs import SUFFIXES, Style, png16, save
+from dualdepth.inference.pictures import SMALLEST, Range, colour_picture, colours, side_by_side
+
+STYLE = Style("Depth is relative. Learned by a 3×3 net.")
+
+
+@pytest.fixture
+def depth():
+    return np.geomspace(1.6, 1000, 40 * 60, dtype=np.float32).reshape(40, 60)
+
+
+def test_the_png_is_kittis_and_says_so(depth, tmp_path):
+    save("depth", tmp_path / "d.png", wall(40, 60), depth, STYLE)
+    read = cv2.imread(str(tmp_path / "d.png"), cv2.IMREAD_UNCHANGED)
+    assert (read.dtype, read.shape) == (np.uint16, depth.shape)
+    near = depth < 255.9
+    np.testing.assert_allclose(read[near] / 256, depth[near], atol=1 / 512 + 1e-6)
+    assert (read[depth > 256] == 65535).all()
+    with PIL.Image.open(tmp_path / "d.png") as image:
+        assert image.text["Description"] == f"value / 256 = relative depth; 65535 = 256 or more. {STYLE.about}"
+
+
+def test_no_depth_becomes_zero_which_means_none():
+    assert png16(np.float32([1e-5, 1e9])).tolist() == [1, 65535]
+
+
+def test_the_array_is_the_depth(depth, tmp_path):
+    save("npy", tmp_path / "d.npy", wall(40, 60), depth, STYLE)
+    assert np.array_equal(np.load(tmp_path / "d.npy"), depth)
+
+
+def read_ply(path):
+    """An independent reader of binary PLY: comments, and (N, 3) points and colours."""
+    head, _, body = path.read_bytes().partition(b"end_header\n")
+    lines = head.decode("ascii").splitlines()
+    assert lines[:2] == ["ply", "format binary_little_endian 1.0"]
+    count = int(next(line for line in lines if line.startswith("element vertex")).split()[-1])
+    rows = np.frombuffer(body, np.uint8).reshape(count, 15)
+    return [line for line in lines if line.startswith("comment")], rows[:, :12].copy().view("<f4"), rows[:, 12:]
+
+
+def test_points_project_to_their_pixels_in_their_colours(depth, tmp_path):
+    image = wall(40, 60)
+    camera = Camera(intrinsics=(50.0, 55.0, 30.0, 20.0))
+    save("ply", tmp_path / "d.ply", image, depth, STYLE._replace(camera=camera))
+    comments, points, rgb = read_ply(tmp_path / "d.ply")
+    assert np.array_equal(points[:, 2], depth.ravel())
+    v, u = np.indices(depth.shape).reshape(2, -1)
+    np.testing.assert_allclose(50 * points[:, 0] / points[:, 2] + 30, u, atol=1e-3)
+    np.testing.assert_allclose(55 * points[:, 1] / points[:, 2] + 20, v, atol=1e-3)
+    assert np.array_equal(rgb, image.reshape(-1, 3))
+    assert "comment camera: fx 50.0 fy 55.0 cx 30.0 cy 20.0 as given" in comments
+    assert "comment Depth is relative. Learned by a 3?3 net." in comments
+
+
+def test_intrinsics_not_given_are_a_stated_default():
+    fx, fy, cx, cy = Camera().of((375, 1242))
+    assert (fx, cx, cy) == (pytest.approx(721.5377, rel=1e-6), 620.5, 187.0)
+    assert fx == fy
+    assert str(Camera()) == "horizontal field of view 81.4 degrees by default, as KITTI's, principal point in the middle"
+    assert Camera(field_of_view=90).of((10, 200))[0] == pytest.approx(100)
+    assert Camera(focal=33).of((10, 21)) == (33, 33, 10, 4.5)
+
+
+@pytest.mark.parametrize(
+    "camera", [Camera(focal=0), Camera(focal=math.nan), Camera((1, -1, 0, 0)), Camera((1, 1, math.inf, 0)), Camera(field_of_view=180)]
+)
+def test_impossible_cameras_are_refused(camera):
+    with pytest.raises(InputError):
+        camera.check()
+
+
+def test_near_is_bright_and_far_is_dark(depth):
+    drawn = colours(depth, Range.of(depth)).sum(2)
+    assert drawn[0, 0] > 500 > 50 > drawn[-1, -1]
+    assert (np.diff(drawn.ravel().astype(int)) <= 1).all()
+
+
+@pytest.mark.parametrize("size", [(1, 1), (16, 24), (375, 1242), (700, 301)])
+def test_pictures_hold_the_image_whole_beside_a_bar(size):
+    depth, image = np.full(size, 3.0, np.float32), wall(*size)
+    alone, both = (draw(image, depth, Range.of(depth), "relative depth") for draw in (colour_picture, side_by_side))
+    assert alone.shape[0] == both.shape[0] == max(SMALLEST, size[0])
+    assert both.shape[1] - alone.shape[1] == size[1]
+    assert alone.shape[1] > size[1] + 20
+    assert np.array_equal(both[: size[0], : size[1]], image)
+    assert np.array_equal(both[:, size[1] :], alone)
+
+
+@pytest.mark.parametrize("kind", SUFFIXES)
+def test_nothing_half_written_is_left(kind, tmp_path, depth, monkeypatch):
+    def fail(*_):
+        raise OSError("no space")
+
+    monkeypatch.setattr("os.replace", fail)
+    with pytest.raises(OSError, match="no space"):
+        save(kind, tmp_path / f"d{SUFFIXES[kind]}", wall(40, 60), depth, STYLE)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_scale_is_said():
+    assert [Style("").unit, Style("", 2.5).unit] == ["relative depth", "relative depth x2.5"]

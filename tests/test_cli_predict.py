@@ -1,0 +1,263 @@
+"""`dualdepth predict`: from a folder of whatever people have to results that say what they are."""
+
+import json
+import os
+import shutil
+
+import cv2
+import numpy as np
+import PIL.Image
+import pytest
+import torch
+from small_kitti import wall
+from torch import nn
+
+import dualdepth
+from dualdepth.cli import main
+from dualdepth.networks.decoder import DepthOutput
+
+ABOUT = "a net, trained on 7 triplets: a synthetic street world"
+
+
+class Brightness(nn.Module):
+    """Stands for HR-Net, whose results cannot be foreseen: the brighter, the nearer."""
+
+    def __init__(self):
+        super().__init__()
+        self.weight = nn.Parameter(torch.ones(1))
+
+    def forward(self, image, scales=4):
+        return DepthOutput([self.weight * 10 * image.mean(1, keepdim=True) + 0.01], image)
+
+
+@pytest.fixture(autouse=True)
+def stand_in(monkeypatch):
+    monkeypatch.setattr("dualdepth.networks.architecture.HRNet", Brightness)
+
+
+@pytest.fixture
+def weights(tmp_path):
+    folder = tmp_path / "weights"
+    dualdepth.DepthModel({"network": "hr", "hr_size": [192, 288], "about": ABOUT}).save_pretrained(folder)
+    return folder
+
+
+@pytest.fixture
+def photos(tmp_path):
+    """What people have: grey, 16-bit, transparent, turned, of any name and size."""
+    folder = tmp_path / "in put"
+    folder.mkdir()
+    image = wall(60, 100)
+    cv2.imwrite(str(folder / "a.png"), image)
+    cv2.imwrite(str(folder / "a.jpg"), image)
+    cv2.imwrite(str(folder / "b grey ü.png"), image[..., 0])
+    cv2.imwrite(str(folder / "c deep.png"), image.astype(np.uint16) * 257)
+    cv2.imwrite(str(folder / "d clear.png"), np.dstack([image, image[..., 0]]))
+    turned = PIL.Image.fromarray(image)
+    turned.getexif()[0x112] = 6
+    turned.save(folder / "e turned.jpg", exif=turned.getexif(), quality=100)
+    (folder / "notes.txt").touch()
+    return folder
+
+
+@pytest.fixture
+def clip(tmp_path):
+    """Ten frames of an odd size that get brighter."""
+    path = tmp_path / "clip.avi"
+    file = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 10, (161, 91))
+    for i in range(10):
+        file.write(wall(91, 161) // 8 + np.uint8(20 * i + 30))
+    file.release()
+    return path
+
+
+def run(*words):
+    return main(["predict", *map(str, words)])
+
+
+def read(out, name):
+    return np.load(out / f"{name}.depth.npy")
+
+
+def journal(out):
+    return [json.loads(line) for line in (out / "predictions.jsonl").read_text().splitlines()]
+
+
+def visible(out):
+    return sorted(path.name for path in out.iterdir() if not path.name.startswith("."))
+
+
+def test_every_kind_of_photo_becomes_depth_of_its_own_size(photos, weights, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert run(photos, "--weights", weights, "--out", out, "--save", "all", "--device", "cpu") == 0
+    said = capsys.readouterr().out
+    assert f"Depth is relative: its unit is unknown. Learned by {ABOUT}." in said
+    assert "field of view 81.4 degrees by default" in said
+    entries = journal(out)
+    assert [os.path.basename(entry["input"]) for entry in entries] == sorted(set(os.listdir(photos)) - {"notes.txt"})
+    assert [entry["name"] for entry in entries] == ["a", "a-2", "b grey ü", "c deep", "d clear", "e turned"]
+    assert all(ABOUT in entry["about"] and entry["precision"] == "float32" for entry in entries)
+    sizes = {entry["name"]: read(out, entry["name"]).shape for entry in entries}
+    assert sizes == {name: (60, 100) for name in sizes} | {"e turned": (100, 60)}
+    assert np.array_equal(read(out, "c deep"), read(out, "d clear"))
+    np.testing.assert_allclose(read(out, "e turned").T[::-1], read(out, "a-2"), rtol=0.3)
+    for name in sizes:
+        png = cv2.imread(str(out / f"{name}.depth.png"), cv2.IMREAD_UNCHANGED)
+        np.testing.assert_allclose(png / 256, np.minimum(read(out, name), 65535 / 256), atol=1 / 512 + 1e-4)
+        assert cv2.imread(str(out / f"{name}.colour.png")).shape[0] == 120
+        assert (out / f"{name}.ply").stat().st_size > 60 * 100 * 15
+
+
+def test_the_default_is_a_picture_and_a_png(photos, weights, tmp_path):
+    assert run(photos / "a.png", "--weights", weights / "model.safetensors", "--out", tmp_path / "o") == 0
+    assert visible(tmp_path / "o") == ["a.colour.png", "a.depth.png", "predictions.jsonl"]
+
+
+def test_a_scale_is_applied_to_all_and_said(photos, weights, tmp_path):
+    for name, scale in (("one", 1), ("two", 2.5)):
+        assert run(photos / "a.png", "--weights", weights, "--out", tmp_path / name, "--save", "npy", "--scale", scale) == 0
+    np.testing.assert_allclose(read(tmp_path / "two", "a"), 2.5 * read(tmp_path / "one", "a"), rtol=1e-6)
+    assert journal(tmp_path / "two")[0]["unit"] == "relative depth x2.5"
+
+
+def test_broken_files_are_named_and_the_others_done(photos, weights, tmp_path, capsys):
+    (photos / "a0.png").write_bytes(b"")
+    (photos / "b1.jpg").write_bytes(b"no image")
+    (photos / "c2.png").write_bytes((photos / "a.png").read_bytes()[:200])
+    (photos / "d3.mp4").write_bytes(b"no video")
+    words = (photos, "--weights", weights, "--out", tmp_path / "o")
+    assert run(*words) == 1
+    said = capsys.readouterr()
+    for name in ("a0.png", "b1.jpg", "c2.png", "d3.mp4"):
+        assert f"broken: {photos / name}: " in said.err
+    assert said.out.endswith("6 predicted, 4 broken\n")
+    assert run(*words) == 1
+    assert capsys.readouterr().out.endswith("0 predicted, 6 were there, 4 broken\n")
+    shutil.copyfile(photos / "a.png", photos / "a0.png")
+    for name in ("b1.jpg", "c2.png", "d3.mp4"):
+        (photos / name).unlink()
+    assert run(*words) == 0
+
+
+def test_a_run_that_is_stopped_goes_on_where_it_was(photos, weights, tmp_path, monkeypatch, capsys):
+    out, predict, calls = tmp_path / "o", dualdepth.DepthModel.predict_batch, []
+
+    def stop(model, images):
+        calls.append(images)
+        if len(calls) == 5:
+            raise KeyboardInterrupt
+        return predict(model, images)
+
+    monkeypatch.setattr(dualdepth.DepthModel, "predict_batch", stop)
+    monkeypatch.setattr(os, "cpu_count", lambda: 1)  # two files at a time
+    assert run(photos, "--weights", weights, "--out", out) == 130
+    done = len(journal(out))
+    assert 0 < done < 5
+    (out / ".a.0123abcd.part.png").touch()  # as a killed writer leaves it
+    assert run(photos, "--weights", weights, "--out", out) == 0
+    assert capsys.readouterr().out.endswith(f"{6 - done} predicted, {done} were there\n")
+    assert len(calls) == 5 + 6 - done
+    assert not list(out.glob(".*.part*"))
+    assert len(visible(out)) == 13
+
+
+def test_results_beside_their_inputs_do_not_become_inputs(photos, weights, capsys):
+    for expected in ("6 predicted\n", "0 predicted, 6 were there\n"):
+        assert run(photos, "--weights", weights, "--out", photos) == 0
+        assert capsys.readouterr().out.endswith(expected)
+
+
+def test_batches_give_what_single_images_give(photos, weights, tmp_path):
+    (photos / "b0.png").write_bytes(b"")
+    for size in (1, 4):
+        assert run(photos, "--weights", weights, "--out", tmp_path / f"{size}", "--batch-size", size, "--save", "npy") == 1
+    for path in (tmp_path / "1").glob("*.npy"):
+        np.testing.assert_allclose(np.load(path), np.load(tmp_path / "4" / path.name), rtol=1e-5)
+
+
+def test_a_gpu_that_is_too_small_gets_smaller_batches(photos, weights, tmp_path, monkeypatch, capsys):
+    predict, sizes = dualdepth.DepthModel.predict_batch, []
+
+    def small(model, images):
+        sizes.append(len(images))
+        if len(images) > 1:
+            raise torch.OutOfMemoryError
+        return predict(model, images)
+
+    monkeypatch.setattr(dualdepth.DepthModel, "predict_batch", small)
+    assert run(photos, "--weights", weights, "--out", tmp_path / "o", "--batch-size", 4) == 0
+    assert sizes == [4, 2, *[1] * 6]
+
+
+def test_a_video_becomes_a_video_side_by_side(clip, weights, tmp_path):
+    out = tmp_path / "o"
+    assert run(clip, "--weights", weights, "--out", out) == 0
+    assert visible(out) == ["clip.side.mp4", "predictions.jsonl"]
+    made = cv2.VideoCapture(str(out / "clip.side.mp4"))
+    shapes = []
+    while (frame := made.read()[1]) is not None:
+        shapes.append(frame.shape)
+    assert made.get(cv2.CAP_PROP_FPS) == 10
+    assert len(shapes) == 10
+    assert len(set(shapes)) == 1
+    assert shapes[0][0] == 120
+    assert shapes[0][1] > 2 * 161
+
+
+def test_each_frame_has_files_where_they_are_asked_for(clip, weights, tmp_path, capsys):
+    out = tmp_path / "o"
+    words = (clip, "--weights", weights, "--out", out, "--save", "npy,depth")
+    assert run(*words) == 0
+    assert len(list((out / "clip.frames").iterdir())) == 20
+    depths = [np.load(out / "clip.frames" / f"{i:06d}.depth.npy").mean() for i in range(10)]
+    assert depths == sorted(depths, reverse=True)
+    assert run(*words) == 0
+    assert capsys.readouterr().out.endswith("0 predicted, 1 were there\n")
+
+
+def test_a_video_that_ends_early_gives_what_it_has_and_says_so_each_time(clip, weights, tmp_path, capsys):
+    clip.write_bytes(b"00dc".join(clip.read_bytes().split(b"00dc")[:6]))  # before the fifth frame's end
+    for _ in range(2):
+        assert run(clip, "--weights", weights, "--out", tmp_path / "o") == 1
+        assert f"broken: {clip}: ends early: " in capsys.readouterr().err
+    assert (tmp_path / "o" / "clip.side.mp4").is_file()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["gone.png"], "gone.png: no such file or folder"),
+        (["{photos}", "--weights", "gone.safetensors"], "gone.safetensors: no such weights"),
+        (["{photos}", "--save", "colour,gif"], "'gif' is unknown: choose some of colour, depth, side, npy, ply"),
+        (["{photos}", "--scale", "0"], "--scale 0.0: must be"),
+        (["{photos}", "--scale", "nan"], "--scale nan: must be"),
+        (["{photos}", "--batch-size", "0"], "--batch-size 0: must be"),
+        (["{photos}", "--fov", "200"], "field of view 200.0"),
+        (["{photos}", "--focal", "-1"], "focal lengths must be positive"),
+        (["{photos}", "--device", "tpu"], "device 'tpu' is not to be had"),
+        (["{photos}", "--out", "{photos}/a.png"], "a.png: nothing can be written there"),
+    ],
+    ids=str,
+)
+def test_mistakes_are_one_line_and_nothing_is_written(photos, weights, tmp_path, capsys, words, said):
+    words = [word.format(photos=photos) for word in words]
+    with pytest.raises(SystemExit, match="2"):
+        run("--weights", weights, "--out", tmp_path / "o", *words)
+    error = capsys.readouterr().err
+    assert error.startswith("error: ")
+    assert error.count("\n") == 1
+    assert said in error
+    assert not (tmp_path / "o").exists()
+
+
+def test_a_full_disk_ends_it_in_one_line(photos, weights, tmp_path, capsys, monkeypatch):
+    def full(*_args, **_options):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("dualdepth.inference.running.save", full)
+    with pytest.raises(SystemExit, match="2"):
+        run(photos, "--weights", weights, "--out", tmp_path / "o")
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last == f"error: {tmp_path / 'o'}: results cannot be written ([Errno 28] No space left on device); " + (
+        "the same command then goes on where it was"
+    )
