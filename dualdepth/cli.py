@@ -7,6 +7,7 @@ from typing import NoReturn
 from dualdepth import __version__
 from dualdepth.commands.evaluate_depth import add_evaluate_depth
 from dualdepth.commands.evaluate_odometry import add_evaluate_odometry
+from dualdepth.commands.export import add_export
 from dualdepth.commands.replay import add_replay
 from dualdepth.commands.reproduce import add_notebook, add_reproduce
 from dualdepth.commands.status import add_status
@@ -36,6 +37,7 @@ def build_parser() -> argparse.ArgumentParser:
     add_status(commands)
     add_train(commands)
     add_replay(commands)
+    add_export(commands)
     add_notebook(commands)
     return parser
 
