@@ -60,7 +60,7 @@ class OnnxDepthNet:
             images: (B, 3, H, W) float32 RGB in [0, 1], of `size`.
 
         Raises:
-            InputError: images of another shape, type or range.
+            InputError: images of another shape, type or range, or a damaged graph.
         """
         images = np.asarray(images)
         height, width = self.size
@@ -71,7 +71,10 @@ class OnnxDepthNet:
         low, high = images.min(), images.max()
         if not (low >= 0 and high <= 1):
             raise InputError(f"{self.path}: takes images in [0, 1], found values from {low:.3g} to {high:.3g}; divide bytes by 255")
-        return self.session.run([DISPARITY], {IMAGE: images})[0]
+        try:
+            return self.session.run([DISPARITY], {IMAGE: images})[0]
+        except Exception as error:  # ONNX Runtime's errors have no class in common
+            raise InputError(f"{self.path}: ONNX Runtime cannot run it ({str(error)[:200]}); copy or export it again") from None
 
 
 def load_onnx(path: str | Path, threads: int = 0) -> OnnxDepthNet:
@@ -93,7 +96,7 @@ def load_onnx(path: str | Path, threads: int = 0) -> OnnxDepthNet:
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # threads that wait must sleep, as torch's do here
     try:
         session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # ONNX Runtime's errors have no class in common
+    except Exception as error:  # likewise
         raise InputError(f"{path}: cannot be loaded by ONNX Runtime ({str(error)[:200]}); copy or export it again") from None
     return OnnxDepthNet(session, path)
 
