@@ -54,7 +54,7 @@ bench: env ## speed of loader, training step, inference
 
 lock: ## make environment.lock from pyproject.toml
 	rm -rf work/lock && $(PYTHON) -m venv work/lock
-	work/lock/bin/python -m pip install --quiet --upgrade 'setuptools>=77' '.[notebooks,dev]'
+	work/lock/bin/python -m pip install --quiet --upgrade 'setuptools>=77' '.[notebooks,dev,export]'
 	work/lock/bin/python -m pip freeze --all --exclude pip --exclude dualdepth | grep -viE '^(nvidia|triton|cuda)' | sed 's/+cpu$$//' > work/environment.lock
 	grep -q '^torch==' work/environment.lock && mv work/environment.lock environment.lock
 	rm -rf work/lock build

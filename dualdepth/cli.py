@@ -7,6 +7,7 @@ from typing import NoReturn
 from dualdepth import __version__
 from dualdepth.commands.evaluate_depth import add_evaluate_depth
 from dualdepth.commands.evaluate_odometry import add_evaluate_odometry
+from dualdepth.commands.export import add_export
 from dualdepth.commands.predict import add_predict
 from dualdepth.commands.replay import add_replay
 from dualdepth.commands.reproduce import add_notebook, add_reproduce
@@ -38,6 +39,7 @@ def build_parser() -> argparse.ArgumentParser:
     add_train(commands)
     add_predict(commands)
     add_replay(commands)
+    add_export(commands)
     add_notebook(commands)
     return parser
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import numpy as np
 import torch
@@ -16,9 +16,9 @@ from dualdepth.data.loading import low_resolution, to_unit
 from dualdepth.errors import InputError
 from dualdepth.evaluation.depth import resized
 from dualdepth.networks.architecture import Architecture
+from dualdepth.precision import Precision, has_bf16
 from dualdepth.predict import load_depth_net
 
-Precision = Literal["float32", "bf16"]
 UNIT = 16.0
 """Depth = 16 / disparity: relative depth has no unit of its own, and by this one it begins at 1.6, so that depth × 256, as KITTI's
 16-bit PNG has it, resolves the nearest to 0.25 % and reaches to 160 times as far (1600, the network's last, is beyond)."""
@@ -242,7 +242,7 @@ def choose_precision(precision: str | None, device: torch.device) -> Precision:
         InputError: it is unknown.
     """
     if precision is None:
-        return "bf16" if device.type == "cuda" and torch.cuda.is_bf16_supported(including_emulation=False) else "float32"
+        return "bf16" if device.type == "cuda" and has_bf16(device) else "float32"
     if precision not in get_args(Precision):
         raise InputError(f"precision {precision!r} is unknown: choose one of {', '.join(get_args(Precision))}")
     return precision

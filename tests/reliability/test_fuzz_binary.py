@@ -16,6 +16,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from PIL import Image
 from scipy.io import savemat
+from small_onnx import HEIGHT, WIDTH
+from small_onnx import write as write_onnx
 from strategies import FUZZ, bytes_of, values_of
 
 from dualdepth import predict
@@ -28,6 +30,7 @@ from dualdepth.data.unpacking import unpack, unpack_tar
 from dualdepth.errors import InputError
 from dualdepth.evaluation.depth import evaluate, summary
 from dualdepth.evaluation.predictions import load_predictions
+from dualdepth.onnx_session import load_onnx
 
 pytestmark = pytest.mark.fuzz
 
@@ -103,6 +106,14 @@ def read_weights(path: Path) -> None:
     load_weights(path, network())
 
 
+def onnx_file(folder: Path) -> bytes:
+    return write_onnx(folder / "whole.onnx").read_bytes()
+
+
+def run_onnx(path: Path) -> None:
+    load_onnx(path, threads=1)(np.zeros((1, 3, HEIGHT, WIDTH), np.float32))
+
+
 def predict_digest(path: Path) -> str:
     import hashlib
 
@@ -164,6 +175,7 @@ FILES = {
     "tar.gz": (tarred(), lambda p: extract(p, unpack_tar)),
     "checkpoint": (checkpoint, load_checkpoint),
     "weights": (weights, read_weights),
+    "ONNX": (onnx_file, run_onnx),
 }
 
 
