@@ -35,7 +35,7 @@ def test_every_shipped_profile_is_valid_and_says_what_it_is(name):
     assert profile.about
 
 
-def test_the_four_profiles_are_shipped():
+def test_the_profiles_are_shipped():
     assert {"tiny", "miniature", "sample", "paper"} <= set(SHIPPED)
 
 

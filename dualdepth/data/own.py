@@ -112,17 +112,15 @@ def write_lists(root: Path, train: int, held_out: int) -> None:
 def profile_text(hr_size: tuple[int, int], triplets: int) -> str:
     """The profile `own` with a size that fits, and as many epochs as make about `STEPS`."""
     text = (PROFILES / "own.yaml").read_text(encoding="utf-8")
-    text = re.sub(
-        r"hr_size: \[.*?\] *#.*",
-        f"hr_size: [{hr_size[0]}, {hr_size[1]}]           # nearest to the frames' shape; multiples of 96, at least 192",
-        text,
-    )
+    size = f"hr_size: [{hr_size[0]}, {hr_size[1]}]           # nearest to the frames' shape; multiples of 96, at least 192"
+    text = re.sub(r"hr_size: \[.*?\] *#.*", size, text)
     for stage, steps in STEPS.items():
         epochs = int(np.clip(round(4 * steps / max(triplets, 1)), 1, 40))
-        text = re.sub(
-            rf"( {stage}:\n +epochs:) \d+ *#.*",
-            rf"\1 {epochs}  # {epochs * (triplets // 4)} steps of 4 from {triplets} triplets; the paper has 40 epochs",
-            text,
+        why = f"# {epochs * (triplets // 4)} steps of 4 from {triplets} triplets; the paper has 40 epochs"
+        text = re.sub(rf"( {stage}:\n +epochs:) \d+ *#.*", rf"\1 {epochs:<18}{why}", text)
+    if hr_size == (192, 192):
+        text = text.replace(
+            "  workers: 1\n", "  workers: 1\n  precision: float32           # at this size torch's bf16 gradients of PoseNet are wrong\n"
         )
     return text
 
