@@ -32,7 +32,7 @@ def run(tmp_path):
     (tmp_path / "project/notebooks").mkdir(parents=True)
     (tmp_path / "project/Snakefile").touch()
     profile = tmp_path / "own.yaml"
-    profile.write_text("about: a test\ndata: {source: own, hr_size: [192, 192]}\n")
+    profile.write_text("about: a test\ndata: {source: own, hr_size: [192, 192]}\ntraining: {precision: float32}\n")
     return Run(str(profile), tmp_path / "project")
 
 
@@ -97,9 +97,8 @@ def test_a_chessboard_straightens_the_frames_and_says_so(tmp_path, folder):
     matrix = np.array([[205.0, 0, 127.5], [0, 205, 107.5], [0, 0, 1]])
     board = write_frames(tmp_path / "board", chessboards(matrix, (-0.25, 0.05, 0, 0, 0), SIZE, corners=(7, 5)))
     made = own_camera.make([folder], tmp_path / "out", chessboard=board, squares="7x5")
-    assert made.record["camera"]["fx"] == pytest.approx(205, abs=4) and made.record["camera"]["distortion"][0] == pytest.approx(
-        -0.25, abs=0.06
-    )
+    camera = made.record["camera"]
+    assert camera["fx"] == pytest.approx(205, abs=4) and camera["distortion"][0] == pytest.approx(-0.25, abs=0.06)
     assert "frames undistorted" in made.record["undistorted_to"]["origin"]
     straight = read_image(images(made.root, TRAIN)[4]).astype(float)
     assert np.abs(straight - frame(4)).mean() > 3, "the frames are written as they were filmed"
@@ -170,16 +169,16 @@ def test_options_that_do_not_fit_are_refused_with_what_to_do(folder, tmp_path, m
 
 def test_films_of_two_sizes_are_refused(folder, tmp_path):
     other = write_frames(tmp_path / "other", [frame(k, size=(432, 512)) for k in range(3)])
-    with pytest.raises(InputError, match="other: has 512×432 pixels, .*film 256×216; make a data set of each"):
+    with pytest.raises(InputError, match=r"other: has 512×432 pixels, .*film 256×216; make a data set of each"):
         own_camera.make([folder, other], tmp_path / "out", **GIVEN)
 
 
 def test_a_profile_of_another_shape_or_without_a_data_set_is_told_what_to_do(folder, tmp_path, run, kitti_root):
     made = own_camera.make([folder], tmp_path / "out", **GIVEN)
     (tmp_path / "flat.yaml").write_text("about: a test\ndata: {source: own}\n")
-    with pytest.raises(InputError, match=rf"384x1248 squeezes frames of 256×216; give PROFILE={made.root}/own.yaml"):
+    with pytest.raises(InputError, match=rf"384x1248 squeezes frames of 256×216; give PROFILE={made.root}/own\.yaml"):
         prepare_data.find_data(Run(str(tmp_path / "flat.yaml"), run.root), str(made.root))
-    with pytest.raises(InputError, match="give KITTI_ROOT=DIR; python data_scripts/own_camera.py VIDEO --out DIR makes one"):
+    with pytest.raises(InputError, match=r"give KITTI_ROOT=DIR; python data_scripts/own_camera\.py VIDEO --out DIR makes one"):
         prepare_data.find_data(run)
     with pytest.raises(InputError, match=r"holds no own\.json"):
         prepare_data.find_data(run, str(kitti_root))
