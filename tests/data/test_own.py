@@ -34,7 +34,6 @@ def test_frames_too_small_are_refused():
 
 
 @pytest.mark.parametrize("size", [(384, 672), (192, 192)])
-@pytest.mark.parametrize("size", [(384, 672), (192, 192)])
 @pytest.mark.parametrize("triplets", [5, 41, 236, 20000])
 def test_the_written_profile_is_valid_and_asks_for_as_many_steps_as_sample(triplets, size, tmp_path):
     (tmp_path / "own.yaml").write_text(profile_text(size, triplets))

@@ -1,10 +1,10 @@
 """An own camera has no ground truth: every table keeps the paper's rows, has no number of ours that would need one, and says so."""
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from dualdepth import scoring
+from dualdepth.data.depth_maps import save_ground_truth
 from dualdepth.evaluation.depth import METRICS
 from dualdepth.tables import ablation, distance, main, sharpness
 from dualdepth.tables.rows import NO_TRUTH, compare_trainings, training_row
@@ -29,9 +29,10 @@ def test_every_row_of_ours_is_without_numbers_and_says_why(run, table, monkeypat
     assert made.loc[made["source"] == "paper"].notna().any(axis=None)
 
 
-@pytest.mark.parametrize(
-    "claims", [ablation.ablation_claims, distance.distance_claims, sharpness.detail_claims], ids=lambda made: made.__name__
-)
+CLAIMS = (ablation.ablation_claims, distance.distance_claims, sharpness.detail_claims)
+
+
+@pytest.mark.parametrize("claims", CLAIMS, ids=lambda made: made.__name__)
 def test_no_claim_is_compared(run, claims):
     table = claims(run, [0])
     assert len(table) and (table["metric"] == "").all() and table["in_words"].str.startswith("not run").all()
@@ -44,11 +45,12 @@ def test_a_benchmark_with_a_truth_of_its_own_is_scored_all_the_same(run, make_sc
     assert compared["difference"].iloc[0] == pytest.approx(-1)
 
 
-def test_there_are_no_baselines_and_the_empty_comparison_can_be_saved_and_read(run, tmp_path):
-    assert scoring.score_baselines.__wrapped__(run) if hasattr(scoring.score_baselines, "__wrapped__") else True
-    empty = pd.DataFrame([], columns=["a", "b"])
-    empty.to_csv(tmp_path / "e.csv", index=False)
-    assert list(pd.read_csv(tmp_path / "e.csv")) == ["a", "b"]
+def test_there_are_no_baselines_and_the_empty_comparison_keeps_its_columns(run, monkeypatch):
+    save_ground_truth(run.prepared / "ground_truth.npz", [np.zeros((4, 5), np.float32)] * 2)
+    assert scoring.score_baselines(run) == {}
+    monkeypatch.setattr(main, "score_training", lambda *_: scoring.unscored(np.ones((2, 4, 5))))
+    empty = main.compare_with_baselines(run, "lr", [0])
+    assert not len(empty) and {"baseline", "difference", "clear_of_zero"} <= set(empty)
 
 
 def test_a_map_is_shown_with_a_median_of_its_own(run):
