@@ -180,10 +180,12 @@ def score_baselines(run: Run) -> dict[str, pd.DataFrame]:
     They are fitted on training-side laser frames; where the only laser frames are the scored ones, each drive is predicted from
     the others. Empty where both fail, no training-side scans and one scored drive, and where there is no ground truth.
     """
+    if not run.profile.data.has_truth:
+        return {}
     maps, limit = truth(run), run.profile.evaluation.max_depth
     fitted = run.prepared / "baseline_truth.npz"
     scores: dict[str, pd.DataFrame] = {}
-    if not run.profile.data.has_truth or (not fitted.exists() and len({frame.drive for frame in scored_frames(run)}) < 2):
+    if not fitted.exists() and len({frame.drive for frame in scored_frames(run)}) < 2:
         return scores
     for name in baselines.BASELINES:
         if fitted.exists():

@@ -172,7 +172,7 @@ def hold_out(drives: Sequence[Drive], count: int | None = None) -> tuple[list[Dr
     """
     asked = count or int(np.clip(round(HELD_OUT * sum(len(d.numbers) for d in drives)), 3, 40))
     enough = [d for d in drives if len(d.numbers) >= 3 * (asked + APART)]
-    chosen = enough[-1] if enough else max(drives, key=lambda d: len(d.numbers))
+    chosen = enough[-1] if enough else max(reversed(drives), key=lambda d: len(d.numbers))
     held = max(1, min(asked, (len(chosen.numbers) - APART) // 2))
     kept = Drive(chosen.footage, chosen.numbers[: max(0, len(chosen.numbers) - held - APART)])
     train = [kept if d is chosen else d for d in drives]

@@ -43,7 +43,7 @@ def training_row(
     `own_truth`: the scores are of another benchmark, which brings its ground truth.
     """
     if not (own_truth or run.profile.data.has_truth):
-        return {"variant": variant, "source": "measured", "note": NO_TRUTH}
+        return {"variant": variant, "n": np.nan, "seeds": "", "source": "measured", "note": NO_TRUTH}
     if variant not in run.profile.train:
         return {"variant": variant, "source": "measured", "note": f"not run: profile {run.profile.name} does not train it"}
     values = mean_row([scores(run, variant, seed) for seed in seeds], columns)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from dualdepth import scoring
-from dualdepth.data.depth_maps import save_ground_truth
 from dualdepth.evaluation.depth import METRICS
 from dualdepth.tables import ablation, distance, main, sharpness
 from dualdepth.tables.rows import NO_TRUTH, compare_trainings, training_row
@@ -25,6 +24,7 @@ def test_every_row_of_ours_is_without_numbers_and_says_why(run, table, monkeypat
     made = table(run, [0])
     ours = made[made["source"] == "measured"]
     assert len(ours) and (ours["note"] == NO_TRUTH).all()
+    assert {"n", "seeds"} <= set(made), "readers of the files count on them"
     assert ours[[c for c in (*METRICS, "n", "tenengrad", "ratio") if c in ours]].isna().all(axis=None)
     assert made.loc[made["source"] == "paper"].notna().any(axis=None)
 
@@ -46,7 +46,6 @@ def test_a_benchmark_with_a_truth_of_its_own_is_scored_all_the_same(run, make_sc
 
 
 def test_there_are_no_baselines_and_the_empty_comparison_keeps_its_columns(run, monkeypatch):
-    save_ground_truth(run.prepared / "ground_truth.npz", [np.zeros((4, 5), np.float32)] * 2)
     assert scoring.score_baselines(run) == {}
     monkeypatch.setattr(main, "score_training", lambda *_: scoring.unscored(np.ones((2, 4, 5))))
     empty = main.compare_with_baselines(run, "lr", [0])
