@@ -1,5 +1,8 @@
 # The order of the notebooks: one rule a notebook, a training for each variant and seed. What shapes a step's result stands in its
 # `made_from`, by name, so that a changed setting or changed code reruns the step and what depends on it, and nothing else.
+from pathlib import Path
+
+from dualdepth.data.own import RECORD
 from dualdepth.ingredients import ingredients
 from dualdepth.results import PACKAGE, Run, file_digest, folder_digest
 
@@ -26,6 +29,8 @@ PAGES = {
     "12_table_odometry": ("odometry", ODOMETRY),
     "13_figures": (None, ["lr", "dual"]),
 }
+# a data set of an own camera may be made anew in the same folder
+OWN = {} if run_.profile.data.has_truth else {RECORD: file_digest(Path(GIVEN["kitti_root"]) / RECORD)}
 # trainings side by side do more in the same time than one after the other on all cores
 THREADS = {stage: max(1, workflow.cores // max(1, len(names) * len(SEEDS))) for stage, names in VARIANTS.items()}
 
@@ -79,7 +84,7 @@ rule download_data:
         notebook=f"{RESULTS}/notebooks/01_download_data.ipynb",
         sources=f"{WORK}/sources.json",
     params:
-        made_from=ingredients("01_download_data", ("world",), setting=run_.profile.values("world", "data"), given=GIVEN),
+        made_from=ingredients("01_download_data", ("world",), setting=run_.profile.values("world", "data"), given=GIVEN, files=OWN),
     threads: workflow.cores
     shell:
         "dualdepth notebook 01_download_data --out {output.notebook} --set profile={PROFILE:q}"

@@ -11,7 +11,8 @@ from typing import NamedTuple
 from data_scripts import download_kitti, export_depth, make_miniature
 from dualdepth.atomic import write_json, write_text
 from dualdepth.commands.reproduce import ROOTS, add_roots
-from dualdepth.data.kitti import CAMERA_OF_SIDE, Frame, check_root, read_frame_list
+from dualdepth.data import own
+from dualdepth.data.kitti import CAMERA_OF_SIDE, Frame, check_root, numbered_lines, read_frame_list
 from dualdepth.data.sources import drive_archives, named_list
 from dualdepth.errors import InputError, exit_on_input_error
 from dualdepth.preparation import (
@@ -23,10 +24,14 @@ from dualdepth.preparation import (
     test_frames,
     training_targets,
     write_identity,
+    write_no_truth,
     write_odometry,
     write_training_index,
 )
 from dualdepth.results import Run
+
+MOST_SQUEEZED = 1.3
+"""Factor by which a profile may change the frames' shape; intrinsics follow, but what is seen looks strange to a network beyond it."""
 
 
 class Prepared(NamedTuple):
@@ -66,7 +71,7 @@ def find_data(
         make_miniature.make_world(run.profile.world, root)
         sources = world_sources(root)
     else:
-        sources = kitti_sources(run, kitti_root, test_list)
+        sources = kitti_sources(run, kitti_root, test_list) if run.profile.data.has_truth else own_sources(run, kitti_root, test_list)
         for name, check in FOLDERS.items():
             if others[name]:
                 check(others[name])
@@ -89,6 +94,34 @@ def world_sources(root: Path) -> Sources:
         odometry_root=root / "kitti_odometry",
         make3d_root=root / "make3d",
         labels_root=root / "labels",
+    )
+
+
+def own_sources(run: Run, root: str, test_list: str) -> Sources:
+    """Sources of a data set that data_scripts/own_camera.py made.
+
+    Raises:
+        InputError: `root` is no such data set, or its frames are of quite another shape than the profile's hr_size.
+    """
+    make = "python data_scripts/own_camera.py VIDEO --out DIR makes one"
+    if not root:
+        raise InputError(f"profile {run.profile.name} trains on a data set of your own camera: give KITTI_ROOT=DIR; {make}")
+    record, data = own.read_record(root), run.profile.data
+    if record is None:
+        raise InputError(f"KITTI_ROOT {root}: holds no {own.RECORD}, so it is no data set of your own camera; {make}")
+    camera, (height, width) = record["camera"], data.hr_size
+    squeezed = camera["width"] / camera["height"] * height / width
+    if not 1 / MOST_SQUEEZED < squeezed < MOST_SQUEEZED:
+        raise InputError(
+            f"profile {run.profile.name}: hr_size {height}x{width} squeezes frames of {camera['width']}×{camera['height']}; give"
+            f" PROFILE={Path(root) / 'own.yaml'}, which was written for them, or another hr_size"
+        )
+    lists = Path(root).resolve() / "lists"
+    drives = [line for _, line in numbered_lines(lists / "train_drives.txt")]
+    return Sources(
+        kitti_root=check_root(root).resolve(),
+        test_list=Path(test_list).resolve() if test_list else lists / "test_files.txt",
+        train_drives=tuple(drives),
     )
 
 
@@ -133,7 +166,10 @@ def prepare(run: Run) -> Prepared:
     fitted = laser_frames(sources, targets, run.profile.data.baseline_frames)
     write_training_index(run, sources, targets)
     write_identity(run, sources, targets)
-    _export(run, sources, scored, "ground_truth.npz")
+    if run.profile.data.has_truth:
+        _export(run, sources, scored, "ground_truth.npz")
+    else:
+        write_no_truth(run, sources, scored)
     (run.prepared / "baseline_truth.npz").unlink(missing_ok=True)
     if fitted:
         _export(run, sources, fitted, "baseline_truth.npz")
@@ -151,7 +187,7 @@ def _export(run: Run, sources: Sources, frames: list[Frame], name: str) -> None:
 def main(argv: list[str] | None = None) -> int:
     """Run the command line."""
     parser = argparse.ArgumentParser(description="Find or make a profile's data and prepare them.")
-    parser.add_argument("--profile", default="tiny", help="tiny, miniature, sample, paper, or a YAML file (default: %(default)s)")
+    parser.add_argument("--profile", default="tiny", help="tiny, miniature, sample, paper, own, or a YAML file (default: %(default)s)")
     add_roots(parser)
     arguments = parser.parse_args(argv)
     with exit_on_input_error():

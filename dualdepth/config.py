@@ -151,7 +151,7 @@ def load_profile(name: str) -> Profile:
     """Read and validate a profile.
 
     Args:
-        name: `tiny`, `miniature`, `sample`, `paper`, or the path of a YAML file; the run is named by the file's stem.
+        name: `tiny`, `miniature`, `sample`, `paper`, `own`, or the path of a YAML file; the run is named by the file's stem.
 
     Raises:
         InputError: no such profile, no valid YAML, or a bad key or value; the message names the file and the nearest known key.

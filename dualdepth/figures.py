@@ -77,23 +77,27 @@ def pole_window(labels: np.ndarray) -> Window | None:
     return around(row, column, labels.shape, 0.5)
 
 
-def depth_rows(images: Sequence[np.ndarray], depths: dict[str, Sequence[np.ndarray]], titles: Sequence[str]) -> Picture:
-    """Frames in rows: image, then one depth map in metres for each name in `depths`."""
+def depth_rows(images: Sequence[np.ndarray], depths: dict[str, Sequence[np.ndarray]], titles: Sequence[str], unit: str = "m") -> Picture:
+    """Frames in rows: image, then one depth map in metres, or in another `unit`, for each name in `depths`."""
     figure = Picture(figsize=_size(images[0].shape, len(images), 1 + len(depths)), layout="constrained")
     cells = figure.subplots(len(images), 1 + len(depths), squeeze=False)
     for number, (row, image, title) in enumerate(zip(cells, images, titles)):
         show_image(row[0], image, title)
         for axes, (name, maps) in zip(row[1:], depths.items()):
-            show_depth(axes, maps[number], name, bar=axes is row[-1])
+            show_depth(axes, maps[number], name, bar=axes is row[-1], unit=unit)
     return figure
 
 
 def close_ups(
-    images: Sequence[np.ndarray], depths: dict[str, Sequence[np.ndarray]], windows: Sequence[Window], titles: Sequence[str]
+    images: Sequence[np.ndarray],
+    depths: dict[str, Sequence[np.ndarray]],
+    windows: Sequence[Window],
+    titles: Sequence[str],
+    unit: str = "m",
 ) -> Picture:
-    """Windows of frames in rows: image, then each depth map, in metres."""
+    """Windows of frames in rows: image, then each depth map, in metres or in another `unit`."""
     parts = {name: [w.of(d) for w, d in zip(windows, maps)] for name, maps in depths.items()}
-    return depth_rows([w.of(i) for w, i in zip(windows, images)], parts, titles)
+    return depth_rows([w.of(i) for w, i in zip(windows, images)], parts, titles, unit)
 
 
 def far_errors(

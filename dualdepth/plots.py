@@ -45,8 +45,8 @@ def show_image(axes: Axes, image: np.ndarray, title: str = "") -> None:
     axes.set_axis_off()
 
 
-def show_depth(axes: Axes, depth: np.ndarray, title: str = "", bar: bool = True) -> None:
-    """Draw a depth map (H, W) in metres, 0 = unknown (grey), with a colour bar in metres."""
+def show_depth(axes: Axes, depth: np.ndarray, title: str = "", bar: bool = True, unit: str = "m") -> None:
+    """Draw a depth map (H, W) in metres, 0 = unknown (grey), with a colour bar in metres, or in another `unit`."""
     shown = np.ma.masked_less_equal(depth, 0)
     axes.set_facecolor("0.85")
     drawn = axes.imshow(shown, cmap=DEPTH_MAP, norm=LogNorm(NEAR, FAR), interpolation="nearest")
@@ -55,7 +55,7 @@ def show_depth(axes: Axes, depth: np.ndarray, title: str = "", bar: bool = True)
     axes.set_yticks([])
     if bar:
         colours = axes.figure.colorbar(drawn, ax=axes, fraction=0.012, pad=0.01, extend="both")
-        colours.set_ticks([3, 5, 10, 20, 40, 80], labels=["3", "5", "10", "20", "40", "80 m"], fontsize=6)
+        colours.set_ticks([3, 5, 10, 20, 40, 80], labels=["3", "5", "10", "20", "40", f"80 {unit}"], fontsize=6)
         colours.minorticks_off()
 
 

@@ -8,10 +8,21 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from dualdepth.atomic import write_json
-from dualdepth.data.kitti import Frame, check_root, image_path, read_frame_list, read_static_frames, read_test_scenes, velodyne_path
+from dualdepth.data.depth_maps import save_ground_truth
+from dualdepth.data.kitti import (
+    Frame,
+    check_root,
+    image_path,
+    read_frame_list,
+    read_image,
+    read_static_frames,
+    read_test_scenes,
+    velodyne_path,
+)
 from dualdepth.data.label_maps import label_path
 from dualdepth.data.make3d import find_pairs
 from dualdepth.data.odometry import check_odometry_root, frame_files, poses_path, sequence_of, write_odometry_index
+from dualdepth.data.own import RECORD
 from dualdepth.data.triplets import drive_triplets, missing_neighbours, name_missing, write_targets
 from dualdepth.errors import InputError, first_mistake
 from dualdepth.results import Run, file_digest
@@ -76,7 +87,7 @@ def training_targets(run: Run, sources: Sources) -> list[Frame]:
 
 
 def test_frames(run: Run, sources: Sources) -> tuple[list[Frame], int]:
-    """Frames to score, those with image and laser scan, and how many the list names.
+    """Frames to score, those with image and laser scan, and how many the list names; of an own camera frames to show.
 
     Raises:
         InputError: frames of the list are missing and the profile does not allow it, or all are.
@@ -84,7 +95,8 @@ def test_frames(run: Run, sources: Sources) -> tuple[list[Frame], int]:
     listed = read_frame_list(sources.test_list)
     root = sources.kitti_root
     missing = [(f, f.camera) for f in listed if image_path(root, f) is None]
-    missing += [(f, "velodyne_points") for f in listed if not velodyne_path(root, f).is_file()]
+    if run.profile.data.has_truth:
+        missing += [(f, "velodyne_points") for f in listed if not velodyne_path(root, f).is_file()]
     gone = {frame for frame, _ in missing}
     if missing and (not run.profile.data.allow_missing or len(gone) == len(set(listed))):
         raise name_missing("to score (`allow_missing: true` in the profile's `data` scores the rest)", root, missing)
@@ -110,8 +122,15 @@ def write_identity(run: Run, sources: Sources, targets: Sequence[Frame]) -> Path
     root, world = sources.kitti_root, sources.kitti_root.parent / "world.json"
     files = [world] if run.profile.world else [root / date / "calib_cam_to_cam.txt" for date in sorted({f.date for f in targets})]
     path = run.prepared / "identity.json"
-    write_json(path, {file.parent.name: file_digest(file) for file in files})
+    own = {} if run.profile.data.has_truth else {RECORD: file_digest(root / RECORD)}
+    write_json(path, {file.parent.name: file_digest(file) for file in files} | own)
     return path
+
+
+def write_no_truth(run: Run, sources: Sources, scored: Sequence[Frame]) -> None:
+    """Write `prepared/ground_truth.npz` of an own camera: maps of the frames' sizes without a measurement (0) in them."""
+    images = [path for frame in scored if (path := image_path(sources.kitti_root, frame))]
+    save_ground_truth(run.prepared / "ground_truth.npz", (np.zeros(read_image(path).shape[:2], np.float32) for path in images))
 
 
 def write_odometry(run: Run, sources: Sources) -> int:

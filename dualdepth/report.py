@@ -67,8 +67,16 @@ class Report(NamedTuple):
     """Provenance of every table and figure."""
     figures: dict[str, Path]
     assumptions: list[tuple[str, str, str]]
+    captions: dict[str, str]
+    """Of the figures."""
 
 
+UNSCORED_CAPTIONS = {
+    "main_depth": "Held-out frames and their predicted depth; its scale is unknown, each map's median is shown as 10.",
+    "side_by_side": "Depth of both networks in held-out frames; its scale is unknown, each map's median is shown as 10.",
+    "sharpness_boundaries": "Depth boundaries by the mean of all predictions, enlarged.",
+}
+"""Where there is no ground truth."""
 FIGURE_OF = {"make3d": "make3d", "odometry_trajectories": "odometry", "sa_region": "sa_region"}
 """Figures that are of one table, and left from an earlier run where that was not run."""
 CAUTIONS = {
@@ -96,6 +104,8 @@ def make_report(run: Run) -> Report:
         claims["verdict"] = [verdict if verdict.startswith(NOT_RUN) else "not judged" for verdict in claims["verdict"]]
     where = "of a synthetic world, not of KITTI" if run.profile.world else "of a small training"
     caution = f"These are numbers {where}: {CAUTIONS[judged]}" if CAUTIONS[judged] else ""
+    if not run.profile.data.has_truth:
+        caution = "An own camera has no ground truth: nothing is scored and nothing is judged. What was learned shows in the pictures."
     if leaks:
         caution = f"Nothing is judged: frames were scored that networks were trained on. {'; '.join(sorted(leaks))}."
     not_run = {name for name, table in tables.items() if "n" not in table or table["n"].isna().all()}
@@ -105,7 +115,8 @@ def make_report(run: Run) -> Report:
     stamps = [path for path in stamps if not path.stem.startswith("report_")]
     more = {name: read[name] for name in ("odometry_trajectories", "odometry_claims") if name in read}
     chosen = assumptions(run.profile.training.loss)
-    return Report(run.profile.about, caution, claims, numbers, tables, more, _provenance(run, stamps), figures, chosen)
+    captions = CAPTIONS if run.profile.data.has_truth else CAPTIONS | UNSCORED_CAPTIONS
+    return Report(run.profile.about, caution, claims, numbers, tables, more, _provenance(run, stamps), figures, chosen, captions)
 
 
 def _provenance(run: Run, stamps: Sequence[Path]) -> pd.DataFrame:
@@ -164,7 +175,7 @@ def html(report: Report, name: str) -> str:
         tables={k: (title, shown(k, report.tables[k])) for k, title in TITLES.items()},
         headings=HEADINGS,
         pictures=pictures,
-        captions=CAPTIONS,
+        captions=report.captions,
         more={k: shown(k, frame) for k, frame in report.more.items()},
         assumptions=report.assumptions,
         worth=WORTH,

@@ -17,7 +17,7 @@ from dualdepth.data.kitti import Frame, image_path
 from dualdepth.data.label_maps import label_path, read_label_map
 from dualdepth.errors import InputError, first_mistake
 from dualdepth.evaluation import baselines
-from dualdepth.evaluation.depth import evaluate, resized, summary
+from dualdepth.evaluation.depth import METRICS, evaluate, resized, summary
 from dualdepth.leaks import check_leak
 from dualdepth.networks.architecture import Architecture
 from dualdepth.predict import DepthNet, load_depth_net, predict_disparities
@@ -108,10 +108,30 @@ def score_training(run: Run, variant: str, seed: int) -> pd.DataFrame:
     disparities = predict_disparities(load_depth_net(weights), image_paths(run), device=device())
     with atomic_path(folder / "disparities.npy") as partial:
         np.save(partial, disparities)
-    scores = evaluate(disparities, truth(run), name=str(folder / "disparities.npy"), kind="disparity", **protocol(run.profile.evaluation))
+    if run.profile.data.has_truth:
+        scores = evaluate(
+            disparities, truth(run), name=str(folder / "disparities.npy"), kind="disparity", **protocol(run.profile.evaluation)
+        )
+    else:
+        scores = unscored(disparities)
     write_text(folder / "per_image.csv", scores.to_csv())
     write_json(folder / "per_image.json", made_from)
     return scores
+
+
+SHOWN_MEDIAN = 10.0
+"""Median depth that a map without ground truth is shown with: its scale is unknown, and the colour scale goes from 3 to 80."""
+
+
+def unscored(disparities: np.ndarray) -> pd.DataFrame:
+    """The frame of `evaluate` for images (N, h, w) without ground truth: no metric has a value, `scale_ratio` gives `SHOWN_MEDIAN`."""
+    frame = pd.DataFrame({name: np.nan for name in METRICS}, index=pd.RangeIndex(len(disparities), name="image"))
+    return frame.assign(scale_ratio=[SHOWN_MEDIAN * float(np.median(disparity)) for disparity in disparities], valid_pixels=0)
+
+
+def depth_unit(run: Run) -> str:
+    """What the colour bar of a run's depth maps says behind its numbers."""
+    return "m" if run.profile.data.has_truth else f"(scale unknown: median {SHOWN_MEDIAN:g})"
 
 
 class Predictions:
@@ -125,7 +145,10 @@ class Predictions:
         self._settings, self._truth = run.profile.evaluation, truth(run)
 
     def depth(self, image: int, size: tuple[int, int] | None = None) -> np.ndarray:
-        """Depth of a scored image in metres, median-scaled and clamped as it is scored, resized to `size` (H, W) or the ground truth's."""
+        """Depth of a scored image in metres, median-scaled and clamped as it is scored, resized to `size` (H, W) or the ground truth's.
+
+        Without ground truth its unit is a tenth of the map's median.
+        """
         settings, size = self._settings, size or self._truth[image].shape
         disparity = np.asarray(self.disparities[image])
         enlarged = resized(1.0 / disparity, size) if settings.resize == "depth" else 1.0 / resized(disparity, size)
@@ -155,8 +178,10 @@ def score_baselines(run: Run) -> dict[str, pd.DataFrame]:
     """Score constant depth, per-row mean and mean depth map, by name.
 
     They are fitted on training-side laser frames; where the only laser frames are the scored ones, each drive is predicted from
-    the others. Empty where both fail: no training-side scans and one scored drive.
+    the others. Empty where both fail, no training-side scans and one scored drive, and where there is no ground truth.
     """
+    if not run.profile.data.has_truth:
+        return {}
     maps, limit = truth(run), run.profile.evaluation.max_depth
     fitted = run.prepared / "baseline_truth.npz"
     scores: dict[str, pd.DataFrame] = {}

@@ -67,7 +67,8 @@ class World(Settings):
 class Data(Settings):
     """Which frames are trained on and which are scored."""
 
-    source: Literal["miniature", "kitti"]
+    source: Literal["miniature", "kitti", "own"]
+    """`own`: a data set of data_scripts/own_camera.py, which names its drives itself and has no ground truth."""
     train_list: str | None = None
     """Name of a field's list with its training triplets (`eigen_zhou`), used unchanged; else `train_drives`."""
     train_drives: list[str] = []
@@ -99,7 +100,14 @@ class Data(Settings):
             )
         if self.source == "kitti" and bool(self.train_list) == bool(self.train_drives):
             raise ValueError("give either train_list or train_drives")
+        if self.source == "own" and (self.train_list or self.train_drives or self.test_list):
+            raise ValueError("train_list, train_drives and test_list are not for source: own, whose data set names its frames itself")
         return self
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether the frames of the test list have ground truth; without it they are shown, not scored."""
+        return self.source != "own"
 
     @property
     def lr_size(self) -> tuple[int, int]:

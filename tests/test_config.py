@@ -35,8 +35,8 @@ def test_every_shipped_profile_is_valid_and_says_what_it_is(name):
     assert profile.about
 
 
-def test_the_four_profiles_are_shipped():
-    assert {"tiny", "miniature", "sample", "paper"} <= set(SHIPPED)
+def test_the_five_profiles_are_shipped():
+    assert {"tiny", "miniature", "sample", "paper", "own"} <= set(SHIPPED)
 
 
 def test_the_paper_profile_is_the_papers_recipe():
@@ -146,7 +146,7 @@ def test_a_bad_profile_is_one_error_that_names_file_and_setting(written, text, n
 
 
 def test_an_unknown_profile_names_those_there_are():
-    with pytest.raises(InputError, match=r"profile 'papper' not found: choose one of miniature, paper, sample, .*tiny"):
+    with pytest.raises(InputError, match=r"profile 'papper' not found: choose one of miniature, own, paper, sample, .*tiny"):
         load_profile("papper")
 
 

@@ -46,6 +46,12 @@ def test_tiny_has_no_verdicts_on_claims(make_run):
     assert "not of KITTI" in made.caution and "nothing here is judged" in made.caution
 
 
+def test_an_own_camera_has_nothing_to_judge_and_its_pictures_no_metres(make_run):
+    made = make_report(make_run("own"))
+    assert "no ground truth: nothing is scored" in made.caution and "laser" not in made.captions["main_depth"]
+    assert "scale is unknown" in html(made, "own")
+
+
 def test_miniature_judges_the_direction_of_claims_alone(make_run):
     made = make_report(make_run("miniature"))
     assert made.claims["verdict"].iloc[0] == "reproduced"

@@ -150,6 +150,18 @@ def test_a_setting_of_the_training_alone_makes_nothing_anew(run):
     assert run.predicted == [b"1"]
 
 
+def test_frames_of_an_own_camera_are_predicted_but_not_scored(run, monkeypatch):
+    own = run.profile.data.model_copy(update={"source": "own"})
+    run.profile = run.profile.model_copy(update={"data": own})
+    monkeypatch.setattr(scoring, "evaluate", None)
+    scores = score_training(run, "lr", 0)
+    assert scores["abs_rel"].isna().all() and len(scores) == 3
+    pd.testing.assert_frame_equal(score_training(run, "lr", 0), scores, check_dtype=False, check_index_type=False)
+    assert run.predicted == [b"1"]
+    depth = Predictions(run, "lr", 0).depth(1, (12, 20))
+    assert depth.shape == (12, 20) and np.median(depth) == pytest.approx(10, rel=0.01)
+
+
 def test_each_training_has_its_own_files(run):
     run.weights("dual", 3).parent.mkdir(parents=True)
     run.weights("dual", 3).write_bytes(b"7")

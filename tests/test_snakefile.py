@@ -77,6 +77,16 @@ def test_odometry_is_trained_on_triplets_of_its_own(chain, tmp_path):
     assert {"03_train_lr odometry_lr seed 0", "12_table_odometry"} <= set(chain()) and "03_train_lr lr seed 0" not in chain()
 
 
+def test_a_data_set_of_an_own_camera_made_anew_in_its_folder_is_prepared_anew(chain, tmp_path):
+    own = ("world: {}\ndata: {source: miniature}", "data: {source: own}")
+    (tmp_path / "film").mkdir()
+    (tmp_path / "film/own.json").write_text("one")
+    chain(f"kitti_root={tmp_path / 'film'}", change=own)
+    assert chain(f"kitti_root={tmp_path / 'film'}") == []
+    (tmp_path / "film/own.json").write_text("another")
+    assert {"01_download_data", "02_prepare_data", "03_train_lr lr seed 0"} <= set(chain(f"kitti_root={tmp_path / 'film'}"))
+
+
 def test_without_its_folder_odometry_is_not_trained_but_has_its_table(chain, tmp_path):
     profile = tmp_path / "own.yaml"
     profile.write_text(profile.read_text().replace(*KITTI))

@@ -29,7 +29,7 @@ def add_roots(parser: argparse.ArgumentParser) -> None:
 def add_reproduce(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Add the subcommand `reproduce`."""
     parser = commands.add_parser("reproduce", help="run all notebooks of a profile in order, and only what is not done yet")
-    parser.add_argument("--profile", default="tiny", help="tiny, miniature, sample, paper, or a YAML file (default: %(default)s)")
+    parser.add_argument("--profile", default="tiny", help="tiny, miniature, sample, paper, own, or a YAML file (default: %(default)s)")
     add_roots(parser)
     parser.add_argument("--seeds", default="", metavar="0,1,2", help="seeds to train instead of the profile's")
     parser.add_argument("--cores", default="all", help="cores Snakemake may use (default: %(default)s)")

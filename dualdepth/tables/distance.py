@@ -54,9 +54,9 @@ def distance_claims(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
 def gain_row(run: Run, variant: str, seeds: Sequence[int], relative: bool) -> dict[str, Any] | None:
     """Is the far part's gain in Abs Rel over LR-Net larger than the near part's, in the images that have both?
 
-    Relative gains are in units of LR-Net's mean error in the part. None where one of the two is not trained.
+    Relative gains are in units of LR-Net's mean error in the part. None where one of the two is not trained, or nothing is scored.
     """
-    if not {variant, "lr"} <= set(run.profile.train):
+    if not {variant, "lr"} <= set(run.profile.train) or not run.profile.data.has_truth:
         return None
     gains = []
     for part in reversed(PARTS):

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from dualdepth.evaluation.statistics import mean_std, paired_bootstrap
+from dualdepth.evaluation.statistics import Difference, mean_std, paired_bootstrap
 from dualdepth.results import Run
 from dualdepth.scoring import score_baselines, score_training, score_untrained, scored_note
-from dualdepth.tables.rows import mean_row, said_seeds, training_row, with_paper
+from dualdepth.tables.rows import NO_TRUTH, mean_row, said_seeds, training_row, with_paper
 
 BASELINE_ROWS = {
     "mean_map": "Train set mean",
@@ -23,12 +23,13 @@ def main_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
         Columns method, dataset, supervision, the seven metrics (means over images and seeds), n, source, the metrics' standard
         deviations over seeds, seeds, note.
     """
-    common = {"dataset": "miniature" if run.profile.world else "K", "source": "measured"}
+    names = {"miniature": "miniature", "kitti": "K", "own": "own"}
+    common = {"dataset": names[run.profile.data.source], "source": "measured"}
     fitted = (run.prepared / "baseline_truth.npz").exists()
     fit = "fitted on training-side laser frames" if fitted else "fitted on the scored frames of all other drives"
     fit = "; ".join(filter(None, [fit, scored_note(run)]))
     scores = score_baselines(run)
-    missing = "not run: no training-side laser frames, and the scored frames are of one drive"
+    missing = "not run: no training-side laser frames, and the scored frames are of one drive" if run.profile.data.has_truth else NO_TRUTH
     rows = [
         {
             "method": method,
@@ -39,9 +40,11 @@ def main_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
         }
         for name, method in BASELINE_ROWS.items()
     ]
-    untrained = mean_row([score_untrained(run, seed) for seed in seeds])
-    note = "; ".join(filter(None, ["before its first step", scored_note(run)]))
-    rows.append({"method": "LR-Net, untrained", "supervision": "-", **untrained, "seeds": said_seeds(seeds), **common, "note": note})
+    untrained = {"method": "LR-Net, untrained", "supervision": "-", "note": NO_TRUTH}
+    if run.profile.data.has_truth:
+        note = "; ".join(filter(None, ["before its first step", scored_note(run)]))
+        untrained |= {**mean_row([score_untrained(run, seed) for seed in seeds]), "seeds": said_seeds(seeds), "note": note}
+    rows.append(untrained | common)
     for variant in ("lr", "dual"):
         rows.append({"method": run.profile.variant(variant).label, "supervision": "-", **training_row(run, variant, seeds), **common})
     return with_paper("main", rows).drop(columns="variant")
@@ -73,4 +76,5 @@ def compare_with_baselines(run: Run, variant: str, seeds: Sequence[int]) -> pd.D
                     "clear_of_zero": difference.low > 0 or difference.high < 0,
                 }
             )
-    return pd.DataFrame(rows)
+    columns = ["variant", "baseline", "metric", "of_baseline", "of_variant", "spread_over_seeds", *Difference._fields, "clear_of_zero"]
+    return pd.DataFrame(rows, columns=columns)

@@ -76,7 +76,7 @@ def trained_row(run: Run, variant: str, seeds: Sequence[int], photos: Photos | N
     if variant not in run.profile.train:
         return row | training_row(run, variant, seeds)
     if photos is not None:
-        row |= training_row(run, variant, seeds, scores=partial(score_make3d, convention=convention), columns=METRICS)
+        row |= training_row(run, variant, seeds, scores=partial(score_make3d, convention=convention), columns=METRICS, own_truth=True)
         row["note"] = _said(run, photos, f"{training_note(run, variant, seeds[0], drives=())}, not fine-tuned")
     return row
 
@@ -110,7 +110,9 @@ def make3d_claims(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
     """The dual network against LR-Net, paired photo by photo, shown the central band."""
     if load_photos(run) is None:
         return pd.DataFrame([{"a": "dual", "b": "lr", "metric": "", "in_words": NOT_RUN}], columns=COMPARISON)
-    return compare_trainings(run, [("dual", "lr")], seeds, metrics=["abs_rel"], scores=partial(score_make3d, convention="band"))
+    return compare_trainings(
+        run, [("dual", "lr")], seeds, metrics=["abs_rel"], scores=partial(score_make3d, convention="band"), own_truth=True
+    )
 
 
 class Examples(NamedTuple):

@@ -26,10 +26,24 @@ def mean_row(frames: Sequence[pd.DataFrame], columns: Sequence[str] = METRICS) -
     return row | {"n": min(len(frame) for frame in frames)}
 
 
+NO_TRUTH = "not run: an own camera has no ground truth"
+
+
 def training_row(
-    run: Run, variant: str, seeds: Sequence[int], *, scores: Scores = score_training, columns: Sequence[str] = METRICS
+    run: Run,
+    variant: str,
+    seeds: Sequence[int],
+    *,
+    scores: Scores = score_training,
+    columns: Sequence[str] = METRICS,
+    own_truth: bool = False,
 ) -> dict[str, Any]:
-    """Measured row of a variant over its seeds; one that the profile does not train has no numbers and says so."""
+    """Measured row of a variant over its seeds; one that the profile does not train or cannot score has no numbers and says so.
+
+    `own_truth`: the scores are of another benchmark, which brings its ground truth.
+    """
+    if not (own_truth or run.profile.data.has_truth):
+        return {"variant": variant, "n": np.nan, "seeds": "", "source": "measured", "note": NO_TRUTH}
     if variant not in run.profile.train:
         return {"variant": variant, "source": "measured", "note": f"not run: profile {run.profile.name} does not train it"}
     values = mean_row([scores(run, variant, seed) for seed in seeds], columns)
@@ -71,6 +85,7 @@ def compare_trainings(
     *,
     metrics: Sequence[str] = ("abs_rel", "a1"),
     scores: Scores = score_training,
+    own_truth: bool = False,
 ) -> pd.DataFrame:
     """Paired differences between variants, image by image and seed by seed.
 
@@ -80,6 +95,7 @@ def compare_trainings(
         seeds: trained of both.
         metrics: columns of the scores.
         scores: gives them.
+        own_truth: they are of another benchmark, which brings its ground truth.
 
     Returns:
         Rows per pair and metric: both means, the difference a − b, its 95 % interval over images, its spread over seeds, and in words
@@ -87,7 +103,7 @@ def compare_trainings(
     """
     rows = []
     for a, b in pairs:
-        reason = _why_not(run, a, b, seeds)
+        reason = _why_not(run, a, b, seeds) if own_truth or run.profile.data.has_truth else NO_TRUTH
         if reason:
             rows.append({"a": a, "b": b, "metric": "", "in_words": reason})
             continue

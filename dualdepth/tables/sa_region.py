@@ -79,7 +79,7 @@ def sa_region_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
                 row = {"variant": variant, "source": "measured", "note": NO_LABELS}
             else:
                 row = training_row(run, variant, seeds, scores=partial(score_region, region=region))
-                if "n" in row:
+                if "n" in row and run.profile.data.has_truth:
                     row["note"] = ", ".join(filter(None, [row["note"], made_by, counted(row["n"], len(scored_frames(run)))]))
             rows.append({"region": region, "method": method, **row})
     return with_paper("sa_region", rows).reindex(columns=COLUMNS)

@@ -15,7 +15,7 @@ from dualdepth.evaluation.sharpness import boundary_scores, tenengrad
 from dualdepth.evaluation.statistics import mean_std
 from dualdepth.results import Run
 from dualdepth.scoring import Predictions, dense_truth, label_map, scored_frames
-from dualdepth.tables.rows import COMPARISON, compare_trainings, mean_row, said_seeds, training_note, training_row, with_paper
+from dualdepth.tables.rows import COMPARISON, NO_TRUTH, compare_trainings, mean_row, said_seeds, training_note, training_row, with_paper
 
 ROWS = {"lr": "w/o HR-Net", "dual": "w/ HR-Net"}
 THRESHOLDS = {"depth, m": (0, 2, 5, 10, 20, 50, 100), "inverse depth / its mean": (0, 0.1, 0.25, 0.5, 1, 2, 4)}
@@ -42,8 +42,8 @@ def sharpness_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
     themselves cannot be compared (PROTOCOLS B6).
     """
     missing = [variant for variant in ROWS if variant not in run.profile.train]
-    if missing:
-        note = f"not run: profile {run.profile.name} does not train {', '.join(missing)}"
+    if missing or not run.profile.data.has_truth:
+        note = f"not run: profile {run.profile.name} does not train {', '.join(missing)}" if run.profile.data.has_truth else NO_TRUTH
         rows = [{"method": method, "source": "measured", "note": note} for method in ROWS.values()]
     else:
         rows = _measured_rows(run, seeds)

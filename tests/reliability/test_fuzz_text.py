@@ -15,8 +15,10 @@ from dualdepth.checkpoints import load_card
 from dualdepth.commands.reproduce import parse_parameters, parse_seeds
 from dualdepth.config import load_profile
 from dualdepth.data import kitti, sources
+from dualdepth.data.camera import camera_of_file
 from dualdepth.data.lidar import map_size, velodyne_projection
 from dualdepth.data.odometry import COLUMNS, frame_files, load_odometry_triplets, sequence_intrinsics
+from dualdepth.data.own import read_record
 from dualdepth.data.trajectories import paired, read_trajectory
 from dualdepth.data.triplets import drive_triplets, load_triplets
 from dualdepth.errors import InputError
@@ -36,6 +38,7 @@ LIST = f"{DRIVE} 0000000007 l\n{DRIVE} 0000000003 r\n{DRIVE} 12\n".encode()
 POSES = "".join(f"1 0 0 {k} 0 1 0 0 0 0 1 {k}e-1\n" for k in range(6)).encode()
 NUMBERED = "".join(f"{k} 1 0 0 {k} 0 1 0 0 0 0 1 0\n" for k in (0, 1, 2, 5, 6)).encode()
 TARGETS = f"drive,camera,index,suffix\n{DRIVE},image_02,1,.png\n{DRIVE},image_02,2,.jpg\n".encode()
+OWN = b'{"camera": {"fx": 220, "fy": 220, "cx": 104, "cy": 104, "width": 256, "height": 216, "distortion": []}, "made_from": "0"}'
 ODOMETRY = (",".join(COLUMNS) + "\n00,image_2,1,000000.png,000001.png,000002.png,220,220,104,104\n").encode()
 
 
@@ -91,6 +94,9 @@ TEXTS = {
         (Path(kitti.__file__).parents[1] / "profiles/tiny.yaml").read_bytes(),
         lambda f: load_profile(str((f / "damaged").rename(f / "own.yaml"))),
     ),
+    "own camera's record": (OWN, lambda f: read_record((f / "damaged").rename(f / "own.json").parent)),
+    "own camera's intrinsics": (OWN, lambda f: camera_of_file((f / "damaged").rename(f / "own.json"), (216, 256))),
+    "own camera's KITTI calibration": (CAMERAS, lambda f: camera_of_file((f / "damaged").rename(f / "calib.txt"), (216, 256))),
     "card as text": (b'{"network": "lr", "drives": ["a"], "sha256": "0"}', lambda f: load_card((f / "damaged").rename(f / "w.json"))),
 }
 

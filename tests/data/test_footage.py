@@ -1,0 +1,90 @@
+"""Frames come in their order in time, from a folder or a video, and what is missing is noticed."""
+
+import numpy as np
+import pytest
+from own_film import frame, write_frames, write_video
+
+from dualdepth.data.footage import Footage
+from dualdepth.errors import InputError
+
+
+def numbers(footage):
+    return [still.number for still in footage.stills()]
+
+
+def test_frames_are_ordered_by_the_last_number_in_their_names(tmp_path):
+    folder = write_frames(tmp_path / "cam2", [frame(0), frame(1), frame(2)], ["cam2_10", "cam2_9", "cam2_8"])
+    footage = Footage(folder)
+    assert [still.file.stem for still in footage.stills()] == ["cam2_8", "cam2_9", "cam2_10"]
+    assert numbers(footage) == [0, 1, 2] and footage.length == 3
+
+
+def test_a_missing_number_is_a_gap(tmp_path):
+    folder = write_frames(tmp_path / "f", [frame(0)] * 5, ["f1", "f2", "f3", "f6", "f7"])
+    assert numbers(Footage(folder)) == [0, 1, 2, 5, 6]
+
+
+def test_numbers_that_count_in_tens_are_no_gaps_and_one_missing_of_them_is(tmp_path):
+    folder = write_frames(tmp_path / "f", [frame(0)] * 5, ["f10", "f20", "f30", "f50", "f60"])
+    assert numbers(Footage(folder)) == [0, 1, 2, 4, 5]
+
+
+def test_times_in_nanoseconds_are_neighbours_though_their_steps_differ(tmp_path):
+    names = [str(1403636579763555584 + k) for k in (0, 50_000_896, 100_000_000, 149_999_616, 400_000_000)]
+    assert numbers(Footage(write_frames(tmp_path / "f", [frame(0)] * 5, names))) == [0, 1, 2, 3, 8]
+
+
+def test_names_without_numbers_are_taken_in_their_order(tmp_path):
+    assert numbers(Footage(write_frames(tmp_path / "f", [frame(0)] * 3, ["a", "b", "c"]))) == [0, 1, 2]
+
+
+def test_a_video_gives_the_frames_that_were_written(tmp_path):
+    frames = [frame(k) for k in range(6)]
+    footage = Footage(write_video(tmp_path / "v.mp4", frames))
+    stills = list(footage.stills())
+    assert [s.number for s in stills] == list(range(6)) and footage.length == 6
+    for still, written in zip(stills, frames):
+        assert np.abs(still.image.astype(float) - written).mean() < 6  # the codec's loss
+    assert numbers(footage) == list(range(6)), "it can be gone through again"
+    assert [s.number for s in footage.stills({1, 4})] == [1, 4]
+
+
+def test_the_digest_follows_the_bytes(tmp_path):
+    folder = write_frames(tmp_path / "f", [frame(0), frame(1)])
+    before = Footage(folder).digest()
+    assert Footage(folder).digest() == before
+    write_frames(folder, [frame(0), frame(1.5)])
+    assert Footage(folder).digest() != before
+
+
+def test_a_frame_of_another_size_is_named_with_both_sizes(tmp_path):
+    folder = write_frames(tmp_path / "f", [frame(0), frame(1), frame(2, size=(100, 120))])
+    with pytest.raises(InputError, match=r"000002\.png: frame 2 has 120×100 pixels, the first one 256×216"):
+        list(Footage(folder).stills())
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("nothing", None, "there is no such file or folder"),
+        ("empty", "folder", "holds no images"),
+        ("text.mp4", b"no video at all", "no video that OpenCV can read; convert it: ffmpeg"),
+        ("photo.png", b"", "is a single image"),
+    ],
+)
+def test_what_is_no_footage_is_named_with_what_to_do(tmp_path, name, content, said):
+    path = tmp_path / name
+    if content == "folder":
+        path.mkdir()
+    elif content is not None:
+        path.write_bytes(content)
+    with pytest.raises(InputError, match=f"{name}: .*{said}"):
+        Footage(path)
+
+
+def test_a_damaged_frame_is_named(tmp_path):
+    folder = write_frames(tmp_path / "f", [frame(0), frame(1)])
+    whole = (folder / "000001.png").read_bytes()
+    (folder / "000001.png").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(InputError, match=r"000001\.png: truncated"):
+        list(Footage(folder).stills())

@@ -1,0 +1,201 @@
+"""From a film to a data set that the chain trains on: whole or not there, kept while its inputs are, and refused with what to do."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+from own_film import SIZE, chessboards, frame, write_frames, write_video
+
+from data_scripts import own_camera, prepare_data
+from dualdepth.data import own
+from dualdepth.data.kitti import intrinsics, read_frame_list, read_image
+from dualdepth.data.triplets import load_triplets
+from dualdepth.errors import InputError
+from dualdepth.results import Run, project_root
+from dualdepth.scoring import scored_frames, truth
+
+SHARED = project_root().parent / "shared" / "data"
+GIVEN = {"intrinsics": "205,205,127.5,107.5"}
+TRAIN, SHOWN = own.drive_name(1), own.drive_name(2)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A film of 40 frames."""
+    return write_frames(tmp_path / "film", [frame(k) for k in range(40)])
+
+
+@pytest.fixture
+def run(tmp_path):
+    """A run of the profile `own` in a project folder, of the film's size."""
+    (tmp_path / "project/notebooks").mkdir(parents=True)
+    (tmp_path / "project/Snakefile").touch()
+    profile = tmp_path / "own.yaml"
+    profile.write_text("about: a test\ndata: {source: own, hr_size: [192, 192]}\ntraining: {precision: float32}\n")
+    return Run(str(profile), tmp_path / "project")
+
+
+def images(root, drive):
+    return sorted((root / drive / "image_02/data").iterdir())
+
+
+def test_a_folder_becomes_a_data_set_whose_frames_are_the_very_files(folder, tmp_path):
+    made = own_camera.make([folder], tmp_path / "out", **GIVEN)
+    files = images(made.root, TRAIN)
+    assert [f.name for f in files] == [f"{k:010d}.png" for k in range(33)]  # 4 are held out, 3 lie between
+    assert files[7].read_bytes() == (folder / "000007.png").read_bytes()
+    assert images(made.root, SHOWN)[0].read_bytes() == (folder / "000036.png").read_bytes()
+    assert np.allclose(intrinsics(made.root, own.DATE), [[205, 0, 127.5], [0, 205, 107.5], [0, 0, 1]])
+    assert [f.index for f in read_frame_list(made.root / "lists/test_files.txt")] == [0, 1, 2, 3]
+    record = json.loads((made.root / "own.json").read_text())
+    assert record["triplets"] == 31 and record["camera"]["origin"] == "given as numbers" and set(record["checks"].values()) == {"passed"}
+    assert "FAILED" not in own_camera.summary(made) and f"PROFILE={made.profile} KITTI_ROOT={made.root}" in own_camera.summary(made)
+
+
+def test_the_chain_reads_it_as_it_reads_kitti_but_has_no_truth(folder, tmp_path, run):
+    made = own_camera.make([folder], tmp_path / "out", **GIVEN)
+    sources = prepare_data.find_data(run, str(made.root))
+    assert prepare_data.prepare(run) == (31, 4, 4, 0, 0)
+    triplets = load_triplets(run.prepared / "triplets.csv", sources.kitti_root)
+    assert all(path.is_file() for triplet in triplets for path in triplet.paths)
+    assert {frame_.drive for frame_ in scored_frames(run)} == {SHOWN}
+    assert [depth.shape for depth in truth(run)] == [SIZE] * 4 and not any(depth.any() for depth in truth(run))
+
+
+def test_other_frames_in_the_same_folder_are_other_data_to_train_on(folder, tmp_path, run):
+    own_camera.make([folder], tmp_path / "out", **GIVEN)
+    prepare_data.find_data(run, str(tmp_path / "out"))
+    prepare_data.prepare(run)
+    before = (run.prepared / "identity.json").read_bytes()
+    (tmp_path / "out").rename(tmp_path / "before")
+    write_frames(folder, [frame(k + 3) for k in range(40)])
+    own_camera.make([folder], tmp_path / "out", **GIVEN)
+    prepare_data.prepare(run)
+    assert (run.prepared / "identity.json").read_bytes() != before
+
+
+def test_a_cut_makes_two_drives_and_no_triplet_spans_it(tmp_path, run):
+    film = write_frames(tmp_path / "film", [frame(k, seed=2 * (k >= 20)) for k in range(40)])
+    made = own_camera.make([film], tmp_path / "out", **GIVEN)
+    assert len(images(made.root, TRAIN)) == 20 and made.record["frames"]["cuts"] == 1
+    prepare_data.find_data(run, str(made.root))
+    assert prepare_data.prepare(run).triplets == 18 + 11 == made.record["triplets"]
+
+
+def test_a_video_becomes_jpeg_frames_with_an_estimate_that_is_said_to_be_one(tmp_path, capsys):
+    video = write_video(tmp_path / "film.mp4", [frame(k) for k in range(40)])
+    assert own_camera.main([str(video), "--out", str(tmp_path / "out"), "--fov", "64", "--held-out", "6"]) == 0
+    said = capsys.readouterr().out
+    assert "ESTIMATED from a horizontal field of view of 64 degrees" in said and "6 frames held out" in said
+    files = images(tmp_path / "out", TRAIN)
+    assert len(files) == 31 and files[0].suffix == ".jpg"
+    assert np.abs(read_image(files[5]).astype(float) - frame(5)).mean() < 8
+
+
+def test_a_chessboard_straightens_the_frames_and_says_so(tmp_path, folder):
+    matrix = np.array([[205.0, 0, 127.5], [0, 205, 107.5], [0, 0, 1]])
+    board = write_frames(tmp_path / "board", chessboards(matrix, (-0.25, 0.05, 0, 0, 0), SIZE, corners=(7, 5)))
+    made = own_camera.make([folder], tmp_path / "out", chessboard=board, squares="7x5")
+    camera = made.record["camera"]
+    assert camera["fx"] == pytest.approx(205, abs=4) and camera["distortion"][0] == pytest.approx(-0.25, abs=0.06)
+    assert "frames undistorted" in made.record["undistorted_to"]["origin"]
+    straight = read_image(images(made.root, TRAIN)[4]).astype(float)
+    assert np.abs(straight - frame(4)).mean() > 3, "the frames are written as they were filmed"
+    assert intrinsics(made.root, own.DATE)[0, 0] == pytest.approx(made.record["undistorted_to"]["fx"], abs=1e-3)
+
+
+def test_the_same_again_is_kept_and_other_options_are_refused(folder, tmp_path):
+    first = own_camera.make([folder], tmp_path / "out", **GIVEN)
+    (first.root / "own.yaml").write_text("about: mine\n")
+    again = own_camera.make([folder], tmp_path / "out", **GIVEN)
+    assert again.kept and (first.root / "own.yaml").read_text() == "about: mine\n"
+    with pytest.raises(InputError, match="holds a data set made of other footage or options; remove it"):
+        own_camera.make([folder], tmp_path / "out", fov=64)
+
+
+def test_a_folder_with_something_else_is_left_alone(folder, tmp_path):
+    with pytest.raises(InputError, match="holds something else"):
+        own_camera.make([folder], folder, **GIVEN)
+    assert len(list(folder.iterdir())) == 40
+
+
+def test_nothing_is_left_of_a_run_that_fails_and_a_killed_one_is_redone(folder, tmp_path, monkeypatch):
+    remains = tmp_path / ".out.part/2000_01_01"
+    remains.mkdir(parents=True)
+    monkeypatch.setattr(own, "write_lists", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        own_camera.make([folder], tmp_path / "out", **GIVEN)
+    assert not (tmp_path / "out").exists() and not (tmp_path / ".out.part").exists()
+    monkeypatch.undo()
+    remains.mkdir(parents=True)
+    assert not own_camera.make([folder], tmp_path / "out", **GIVEN).kept
+
+
+def test_a_failed_check_is_one_line_and_anyway_makes_it_all_the_same(tmp_path, capsys):
+    film = write_frames(tmp_path / "film", [frame(k, speed=0.2) for k in range(34)])
+    call = [str(film), "--out", str(tmp_path / "out"), "--fov", "64", "--stride", "1"]
+    with pytest.raises(SystemExit) as stopped:
+        own_camera.main(call)
+    said = capsys.readouterr().err
+    assert stopped.value.code == 2 and said.count("\n") == 1 and "motion: the picture moves by" in said and "--anyway" in said
+    assert not (tmp_path / "out").exists()
+    own_camera.main([*call, "--anyway"])
+    assert "warning: motion: FAILED" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({}, "give one of --intrinsics .* --chessboard .* or --fov"),
+        ({"fov": 64, "intrinsics": "205,205,127,107"}, "give one of"),
+        ({"intrinsics": "no.txt"}, r"no\.txt: cannot read the calibration"),
+        ({"intrinsics": "1,2"}, "give fx,fy,cx,cy"),
+        ({"chessboard": "film", "squares": "nine"}, "--squares 'nine': give the board's squares"),
+        ({"chessboard": "film", "squares": "9x6"}, "the whole board of 9x6 was found in 0 of 40 views"),
+        ({"fov": 64, "name": "a/b"}, "--name 'a/b'"),
+        ({"fov": 64, "held_out": 400, "stride": 1}, None),
+    ],
+)
+def test_options_that_do_not_fit_are_refused_with_what_to_do(folder, tmp_path, monkeypatch, options, said):
+    monkeypatch.chdir(tmp_path)
+    if said is None:  # more than there is: half of the film is held out
+        assert own_camera.make([folder], "out", **options).record["drives"][-1]["frames"] == 18
+        return
+    with pytest.raises(InputError, match=said):
+        own_camera.make([folder], "out", **options)
+    assert not (tmp_path / "out").exists()
+
+
+def test_films_of_two_sizes_are_refused(folder, tmp_path):
+    other = write_frames(tmp_path / "other", [frame(k, size=(432, 512)) for k in range(3)])
+    with pytest.raises(InputError, match=r"other: has 512×432 pixels, .*film 256×216; make a data set of each"):
+        own_camera.make([folder, other], tmp_path / "out", **GIVEN)
+
+
+def test_a_profile_of_another_shape_or_without_a_data_set_is_told_what_to_do(folder, tmp_path, run, kitti_root):
+    made = own_camera.make([folder], tmp_path / "out", **GIVEN)
+    (tmp_path / "flat.yaml").write_text("about: a test\ndata: {source: own}\n")
+    with pytest.raises(InputError, match=rf"384x1248 squeezes frames of 256×216; give PROFILE={made.root}/own\.yaml"):
+        prepare_data.find_data(Run(str(tmp_path / "flat.yaml"), run.root), str(made.root))
+    with pytest.raises(InputError, match=r"give KITTI_ROOT=DIR; python data_scripts/own_camera\.py VIDEO --out DIR makes one"):
+        prepare_data.find_data(run)
+    with pytest.raises(InputError, match=r"holds no own\.json"):
+        prepare_data.find_data(run, str(kitti_root))
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason="real KITTI (../shared/data) is not here")
+def test_sequence_06_of_real_kitti_becomes_a_data_set(tmp_path):
+    sequence = SHARED / "kitti_odometry/sequences/06"
+    made = own_camera.make([sequence / "image_0"], tmp_path / "out", intrinsics=str(sequence / "calib_p0_p1.txt"))
+    assert made.record["triplets"] == 41 and made.record["hr_size"] == [384, 1248]
+    assert images(made.root, TRAIN)[3].read_bytes() == (sequence / "image_0/000003.png").read_bytes()
+    assert intrinsics(made.root, own.DATE)[0, 0] == pytest.approx(707.0912)
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason="real KITTI (../shared/data) is not here")
+def test_a_video_of_drive_0095_becomes_a_data_set(tmp_path):
+    files = sorted((SHARED / "kitti_raw/2011_09_26/2011_09_26_drive_0095_sync/image_02/data").iterdir())[:40]
+    video = write_video(tmp_path / "drive.mp4", [cv2.resize(read_image(file), (828, 250)) for file in files])
+    made = own_camera.make([video], tmp_path / "out", fov=81.4)
+    assert made.record["stride"] == 1 and made.record["frames"]["used"] == 40 and made.record["hr_size"] == [192, 672]
