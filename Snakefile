@@ -57,7 +57,7 @@ wildcard_constraints:
 
 
 # compute nodes of a cluster may have no network
-localrules: quickstart, download_data
+localrules: download_data
 
 
 rule all:
@@ -71,12 +71,15 @@ rule all:
 
 
 rule quickstart:
+    input:
+        [f"{WORK}/runs/dual/seed{SEEDS[0]}/trained.json"] if "dual" in TRAINED else [],
     output:
         f"{RESULTS}/notebooks/00_quickstart.ipynb",
     params:
-        made_from=ingredients("00_quickstart", ("train_lr", "world")),
+        seed=SEEDS[0],
+        made_from=ingredients("00_quickstart", ("train_lr", "world", "quickstart")),
     shell:
-        "dualdepth notebook 00_quickstart --out {output} --set profile={PROFILE:q}"
+        "dualdepth notebook 00_quickstart --out {output} --set profile={PROFILE:q} seed={params.seed}"
 
 
 rule download_data:

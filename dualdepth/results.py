@@ -52,6 +52,7 @@ CODE = {
     ),
     "tables": ("tables", "paper", "plots", "figures", "evaluation", "data.label_maps", "leaks"),
     "report": ("report", "verdicts", "assumptions"),
+    "quickstart": ("model", "figures", "plots"),
 }
 """Modules whose code shapes a step's result; a change in one of them makes the step stale."""
 

@@ -27,7 +27,7 @@ for path in [out, *(pathlib.Path(m.format(p=profile, s=seed and seed[1], v=varia
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(words)
 with open("ran.txt", "a") as log:
-    log.write(" ".join([name, *([variant[1], "seed", seed[1]] if seed else [])]) + "\\n")
+    log.write(" ".join([name, *([variant[1], "seed", seed[1]] if variant else [])]) + "\\n")
 """
 PROFILE = """about: a test
 world: {}
