@@ -31,7 +31,11 @@ def add_predict(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         " the others are made of each frame of a video)",
     )
     parser.add_argument("--device", metavar="D", help="cpu, cuda, cuda:1, mps (default: a GPU where there is one)")
-    parser.add_argument("--precision", choices=("float32", "bf16"), help="(default: bf16 on a CUDA GPU that has it, else float32)")
+    parser.add_argument(
+        "--precision",
+        choices=("float32", "bf16"),
+        help="(default: bf16 on a CUDA GPU that has it, else float32; a CPU without bf16 instructions is very slow in it)",
+    )
     parser.add_argument("--batch-size", type=int, metavar="N", help="images computed together (default: 16 on a GPU or what fits, else 1)")
     parser.add_argument(
         "--scale",
