@@ -237,7 +237,8 @@ def main() -> int:
     held = sum(t.kills for t in tallies if t.identical)
     note = f"{len(tallies)} chains of all notebooks, {orphaning} kills left kernels behind; tables, prepared files, weights to the byte"
     write_count("chain killed by SIGKILL and started again", kills, held, note)
-    write_count("bytes lost", sum(t.compared for t in tallies), sum(t.same for t in tallies), "chains: prepared files, tables, weights")
+    compared, same = sum(t.compared for t in tallies), sum(t.same for t in tallies)
+    write_count("bytes lost by killed chains", compared, same, f"{compared - same} of prepared files, tables and weights")
     print(f"{held} of {kills} kills harmless: {note}")
     for tally in tallies:
         if tally.said:
