@@ -124,7 +124,7 @@ def kill_at_random(chain: Chain, kills: int, seconds: float, rng: random.Random)
     """
     done, orphaning, wrong = 0, 0, []
     while done < kills:
-        running, moment = chain.start(), time.monotonic() + rng.uniform(0.02, 0.8) * seconds
+        running, moment = chain.start(), time.monotonic() + rng.uniform(0.02, 2 / kills) * seconds  # spread over the chain
         while running.poll() is None and time.monotonic() < moment:
             time.sleep(0.01)
         if running.poll() is not None:
@@ -228,7 +228,7 @@ def main() -> int:
     """Kill as often as asked and count."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--kills", type=int, default=20)
-    parser.add_argument("--each", type=int, default=7, help="kills of one chain, at most")
+    parser.add_argument("--each", type=int, default=10, help="kills of one chain, at most")
     parser.add_argument("--seed", type=int, default=0, help="of the moments")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as root:

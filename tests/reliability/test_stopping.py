@@ -44,25 +44,32 @@ def wait_until(true, seconds=120):
         time.sleep(0.01)
 
 
-@pytest.mark.slow
-def test_a_training_is_stopped_by_its_own_process_or_by_its_group_in_a_notebook_or_by_hand(checkout):
+BY_NOTEBOOK = ["notebook", "03_train_lr", "--out", "{seed}.ipynb", "--set", "profile=own.yaml", "variant=lr", "seed={seed}"]
+BY_HAND = ["train", "--profile", "own.yaml", "--variant", "lr", "--seed", "{seed}"]
+
+
+@pytest.mark.parametrize(
+    "seed, command, send",
+    [
+        pytest.param(0, BY_NOTEBOOK, os.killpg, marks=pytest.mark.slow, id="notebook, its group"),
+        pytest.param(1, BY_HAND, os.killpg, marks=pytest.mark.slow, id="by hand, its group with loader workers"),
+        pytest.param(2, BY_NOTEBOOK, os.kill, marks=pytest.mark.soak, id="notebook, its own process"),
+        pytest.param(3, BY_HAND, os.kill, marks=pytest.mark.soak, id="by hand, its own process"),
+    ],
+)
+def test_sigterm_ends_a_training_with_a_checkpoint_and_one_line(checkout, seed, command, send, counted):
     run = checkout
-    by_notebook = ["notebook", "03_train_lr", "--out", "{seed}.ipynb", "--set", "profile=own.yaml", "variant=lr", "seed={seed}"]
-    by_hand = ["train", "--profile", "own.yaml", "--variant", "lr", "--seed", "{seed}"]
-    trials = [(command, send) for command in (by_notebook, by_hand) for send in (os.kill, os.killpg)]
-    processes = [started(run, *(word.format(seed=seed) for word in command)) for seed, (command, _) in enumerate(trials)]
+    process = started(run, *(word.format(seed=seed) for word in command))
     try:
-        for seed, ((_, send), process) in enumerate(zip(trials, processes, strict=True)):
-            wait_until(lambda seed=seed: checkpoint_paths(run.training("lr", seed)))
-            send(process.pid, signal.SIGTERM)
-        for seed, process in enumerate(processes):
-            said = process.communicate(timeout=120)[0]
-            last = said.replace("\r", "\n").strip().splitlines()[-1]
-            stopped = re.fullmatch(r"stopped at step (\d+) of \d+; run the same command to go on", last)
-            assert process.returncode == 1 and stopped, said[-3000:]
-            assert said.count("stopped at step") == 1 and "Traceback" not in said
-            assert last_checkpoint(run.training("lr", seed))["step"] == int(stopped[1])
-            assert not run.weights("lr", seed).exists() and not (run.root / f"{seed}.ipynb").exists()
+        wait_until(lambda: checkpoint_paths(run.training("lr", seed)) or process.poll() is not None)
+        send(process.pid, signal.SIGTERM)
+        said = process.communicate(timeout=120)[0]
     finally:
-        for process in processes:
-            process.kill()
+        process.kill()
+    with counted():
+        last = said.replace("\r", "\n").strip().splitlines()[-1]
+        stopped = re.fullmatch(r"stopped at step (\d+) of \d+; run the same command to go on", last)
+        assert process.returncode == 1 and stopped, said[-3000:]
+        assert said.count("stopped at step") == 1 and "Traceback" not in said
+        assert last_checkpoint(run.training("lr", seed))["step"] == int(stopped[1])
+        assert not run.weights("lr", seed).exists() and not (run.root / f"{seed}.ipynb").exists()
