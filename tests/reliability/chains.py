@@ -124,7 +124,7 @@ def kill_at_random(chain: Chain, kills: int, seconds: float, rng: random.Random)
     """
     done, orphaning, wrong = 0, 0, []
     while done < kills:
-        running, moment = chain.start(), time.monotonic() + rng.uniform(0.02, 2 / kills) * seconds  # spread over the chain
+        running, moment = chain.start(), time.monotonic() + rng.uniform(0.02, min(0.8, 2 / kills)) * seconds  # spread over the chain
         while running.poll() is None and time.monotonic() < moment:
             time.sleep(0.01)
         if running.poll() is not None:

@@ -94,6 +94,7 @@ def _train(run: Run, variant: str, seed: int, environment: dict[str, str]) -> No
     with open(os.devnull, "w") as nowhere:
         os.dup2(nowhere.fileno(), 1)
         os.dup2(nowhere.fileno(), 2)
+    multiprocessing.set_start_method("fork", force=True)  # of loader processes, as in any training; a server's children have a server's
     torch.set_num_threads(1)  # as each of several processes has; how a sum is split decides its last digits
     train_variant(run, variant, seed)
 
