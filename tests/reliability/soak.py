@@ -44,7 +44,7 @@ class Part(NamedTuple):
 
 def tests(*words: str) -> list[str]:
     """A call of pytest."""
-    return ["-m", "pytest", *words, "-p", "no:cacheprovider"]
+    return ["-m", "pytest", *words, "-p", "no:cacheprovider", "--timeout", "0"]
 
 
 PARTS = {
@@ -54,6 +54,7 @@ PARTS = {
     "ranks": Part("tests of several processes that stop, die, share and resume", tests(f"{TESTS}/test_ddp.py", "-m", "slow")),
     "stops": Part("SIGTERM: checkpoint and one line", tests(f"{TESTS}/test_stopping.py", "-m", "slow or soak"), counted=True),
     "disk": Part("full disks, closed folders, removed files", tests(f"{TESTS}/test_disk.py"), counted=True),
+    "degenerate": Part("degenerate frames and networks, finite gradients", tests(f"{TESTS}/test_degenerate.py"), counted=True),
     "inputs": Part("bad inputs named in one line", tests(f"{TESTS}/test_bad_inputs.py", f"{TESTS}/test_permissions.py"), counted=True),
     "fuzz": Part("damaged files that crash no reader", tests(TESTS, "-m", "fuzz"), examples="1000", counted=True),
 }
