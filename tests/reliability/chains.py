@@ -43,8 +43,8 @@ PROFILE = {
     },
     "train": {"lr": None, "dual": None},
 }
-TIMED = ["latency_ms", "peak_mb"]
-"""Columns that no two runs share."""
+TIMED = ("latency_ms", "peak_mb")
+"""How columns and rows begin or are called that no two runs share."""
 
 Outcome = dict[str, bytes]
 """What a finished chain leaves, by name."""
@@ -182,8 +182,12 @@ def outcome(root: Path) -> Outcome:
     files = [p for pattern in ("work/*/prepared/*", "work/*/runs/*/*/*.safetensors") for p in sorted(root.glob(pattern)) if p.is_file()]
     found = {str(path.relative_to(root)): path.read_bytes() for path in files}
     for path in sorted(root.glob("results/*/tables/*.csv")):
-        table = pd.read_csv(path)
-        found[path.name] = table.drop(columns=TIMED, errors="ignore").to_csv(index=False).encode()
+        if path.name == "backbone.csv":
+            table = pd.read_csv(path)
+            found[path.name] = table[[name for name in table if not name.startswith(TIMED)]].to_csv(index=False).encode()
+        else:
+            lines = path.read_bytes().splitlines(keepends=True)
+            found[path.name] = b"".join(line for line in lines if not any(name.encode() in line for name in TIMED))
     found["pages"] = "\n".join(sorted(p.name for p in root.glob("results/*/notebooks/*"))).encode()
     return found
 
@@ -197,7 +201,7 @@ def _read_arrays(path: Path) -> None:
 READERS: dict[str, Callable[[Path], object]] = {
     ".json": lambda path: json.loads(path.read_bytes()),
     ".ipynb": lambda path: json.loads(path.read_bytes())["cells"],
-    ".csv": lambda path: path.read_bytes().endswith(b"\n") and pd.read_csv(path).columns[0],
+    ".csv": lambda path: path.read_bytes() == b"\n" or (path.read_bytes().endswith(b"\n") and pd.read_csv(path).columns[0]),  # or empty
     ".npz": _read_arrays,
     ".pt": load_checkpoint,
     ".html": lambda path: path.read_bytes().rstrip().endswith(b"</html>"),
