@@ -23,6 +23,7 @@ from typing import NamedTuple
 import pandas as pd
 import torch
 
+from dualdepth.checkpoints import checkpoint_paths
 from dualdepth.data.triplets import drive_triplets
 from dualdepth.memory import keep_freed_memory
 from dualdepth.preparation import Sources, write_identity, write_training_index
@@ -119,6 +120,11 @@ def outcome(run: Run, variant: str, seed: int) -> tuple[bytes, pd.DataFrame]:
     return run.weights(variant, seed).read_bytes(), read_log(folder / "log.csv").drop(columns="steps_per_second")
 
 
+def newest_step(folder: Path) -> int:
+    """Of a training's checkpoints."""
+    return max((int(path.stem[-8:]) for path in checkpoint_paths(folder)), default=0)
+
+
 def kill_at_random(run: Run, variant: str, seed: int, kills: int, seconds: float, rng: random.Random) -> tuple[int, int]:
     """Start a training, kill it, start it again … and at last let it end.
 
@@ -127,7 +133,7 @@ def kill_at_random(run: Run, variant: str, seed: int, kills: int, seconds: float
         variant: to train.
         seed: of the training.
         kills: how often to kill, while it is not done.
-        seconds: that it takes unkilled.
+        seconds: of two of its steps.
         rng: chooses the moments.
 
     Returns:
@@ -136,12 +142,16 @@ def kill_at_random(run: Run, variant: str, seed: int, kills: int, seconds: float
     folder, done, torn = run.training(variant, seed), 0, 0
     while done < kills:
         process = start(run, variant, seed)
-        aim, moment = rng.random() < 0.5, time.monotonic() + rng.uniform(0, 0.8 * seconds)
-        ended = False
-        while not ended and not (time.monotonic() > moment and (not aim or any(folder.glob(".*.part*")))):
-            ended = not process.is_alive()
+        # moments are spread over steps, since the time that a start takes is a busy machine's
+        step, aim, moment = newest_step(folder) + rng.randrange(3), rng.random() < 0.5, None
+        while process.is_alive():
+            now = time.monotonic()
+            if moment is None and newest_step(folder) >= step:
+                moment = now + rng.uniform(0, seconds)
+            if moment is not None and now > moment and (not aim or any(folder.glob(".*.part*"))):
+                break
             time.sleep(0.0005)
-        if ended:
+        else:
             return done, torn
         os.killpg(process.pid, signal.SIGKILL)
         process.join()
@@ -161,7 +171,8 @@ def try_kills(root: Path, kills: int, each: int, seed: int = 0) -> list[Tally]:
     for variant in ("lr", "dual"):
         began = time.monotonic()
         finish(start(run, variant, 0))
-        expected[variant], seconds[variant] = outcome(run, variant, 0), time.monotonic() - began
+        expected[variant] = outcome(run, variant, 0)
+        seconds[variant] = 2 * (time.monotonic() - began) / len(expected[variant][1])
     while sum(tally.kills for tally in tallies) < kills:
         variant = ("lr", "dual")[len(tallies) % 2]
         folder, kept = run.training(variant, 0), root / "kept"

@@ -42,7 +42,7 @@ class Part(NamedTuple):
     """Whether its tests count their cases themselves; their sum is one row."""
 
 
-def tests(*words: str) -> list[str]:
+def by_pytest(*words: str) -> list[str]:
     """A call of pytest."""
     return ["-m", "pytest", *words, "-p", "no:cacheprovider", "--timeout", "0"]
 
@@ -51,12 +51,12 @@ PARTS = {
     "kills": Part("trainings killed", ["-m", "tests.reliability.kills", "--kills", "50"]),
     "chains": Part("chains killed", ["-m", "tests.reliability.chains", "--kills", "20"]),
     "parity": Part("two processes against one", ["-m", "tests.reliability.ddp"]),
-    "ranks": Part("tests of several processes that stop, die, share and resume", tests(f"{TESTS}/test_ddp.py", "-m", "slow")),
-    "stops": Part("SIGTERM: checkpoint and one line", tests(f"{TESTS}/test_stopping.py", "-m", "slow or soak"), counted=True),
-    "disk": Part("full disks, closed folders, removed files", tests(f"{TESTS}/test_disk.py"), counted=True),
-    "degenerate": Part("degenerate frames and networks, finite gradients", tests(f"{TESTS}/test_degenerate.py"), counted=True),
-    "inputs": Part("bad inputs named in one line", tests(f"{TESTS}/test_bad_inputs.py", f"{TESTS}/test_permissions.py"), counted=True),
-    "fuzz": Part("damaged files that crash no reader", tests(TESTS, "-m", "fuzz"), examples="1000", counted=True),
+    "ranks": Part("tests of several processes that stop, die, share and resume", by_pytest(f"{TESTS}/test_ddp.py", "-m", "slow")),
+    "stops": Part("SIGTERM: checkpoint and one line", by_pytest(f"{TESTS}/test_stopping.py", "-m", "slow or soak"), counted=True),
+    "disk": Part("full disks, closed folders, removed files", by_pytest(f"{TESTS}/test_disk.py"), counted=True),
+    "degenerate": Part("degenerate frames and networks, finite gradients", by_pytest(f"{TESTS}/test_degenerate.py"), counted=True),
+    "inputs": Part("bad inputs named in one line", by_pytest(f"{TESTS}/test_bad_inputs.py", f"{TESTS}/test_permissions.py"), counted=True),
+    "fuzz": Part("damaged files that crash no reader", by_pytest(TESTS, "-m", "fuzz"), examples="1000", counted=True),
 }
 
 
