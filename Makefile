@@ -11,7 +11,7 @@ export OMP_WAIT_POLICY := PASSIVE
 STAMP := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help env reproduce status test lab lint lock bench publish notebooks clean
+.PHONY: help env reproduce status test soak lab lint lock bench publish notebooks clean
 
 help: ## what can be made
 	@echo "make reproduce [PROFILE=tiny] [KITTI_ROOT=dir] [ODOMETRY_ROOT=dir] [MAKE3D_ROOT=dir] [LABELS_ROOT=dir] [TEST_LIST=file]"
@@ -39,6 +39,9 @@ test: env lint ## lint, unit tests, the tiny chain, notebooks against their stor
 	dualdepth reproduce --profile tiny
 	pytest --nbval $(NOTEBOOKS)
 	@echo "all tests passed; the notebooks' data and weights are in work/tiny, tables and figures in results/tiny"
+
+soak: env ## the long form of the tests of reliability, to results/published/reliability.csv: make soak [PARTS="kills fuzz"]
+	python -m tests.reliability.soak $(PARTS)
 
 NOTEBOOKS = $(sort $(wildcard notebooks/*.ipynb))
 

@@ -1,30 +1,37 @@
 """Trains a variant of a profile: what it starts from, its network, its card."""
 
+import contextlib
 import json
 from pathlib import Path
 from typing import Any
 
 from dualdepth import ranks
-from dualdepth.atomic import write_text
+from dualdepth.atomic import check_writable, write_text
 from dualdepth.building import architecture, check_start, make_stage
 from dualdepth.checkpoints import finished_card, load_card
 from dualdepth.config import Profile
 from dualdepth.data.odometry import drives_of, load_odometry_triplets
 from dualdepth.data.triplets import Triplet, load_triplets, read_targets
 from dualdepth.errors import InputError
+from dualdepth.lock import locked
 from dualdepth.memory import keep_freed_memory
 from dualdepth.preparation import Sources
 from dualdepth.results import Run
 from dualdepth.sections import Variant
 from dualdepth.training import train
 
+PATIENCE = 15.0
+"""Seconds that a training waits for the one before it, which may have been told to stop, or be left behind by a killed chain."""
+
 
 def train_variant(run: Run, name: str, seed: int) -> Path:
     """Train a variant, or go on with it, or find it done; returns its weights.
 
+    Nothing else trains the same variant and seed meanwhile; of several processes that train together the first holds the lock.
+
     Raises:
         InputError: an unknown variant; prepared data or stage 1's weights are missing, or those are of another network; too few
-            triplets; a bad frame.
+            triplets; a bad frame; a live process trains the same.
     """
     keep_freed_memory()
     variant, profile = run.profile.variant(name), run.profile.of_variant(name)
@@ -32,22 +39,31 @@ def train_variant(run: Run, name: str, seed: int) -> Path:
     start = start_weights(run, variant, seed)
     if start:
         check_start(start, profile, variant)
-    weights, recipe = run.weights(name, seed), run.recipe(name, seed)
-    if (card := finished_card(weights)) and card.get("recipe") == recipe:
-        if ranks.is_main():
-            print(f"already trained: {card['steps']} steps, seed {seed}")
+    folder, weights, recipe = run.training(name, seed), run.weights(name, seed), run.recipe(name, seed)
+    with _alone(folder):
+        if (card := finished_card(weights)) and card.get("recipe") == recipe:
+            if ranks.is_main():
+                print(f"already trained: {card['steps']} steps, seed {seed}")
+            return _mark(weights)
+        train(
+            lambda settings: make_stage(settings, variant, start),
+            getattr(profile.training, variant.stage),
+            profile,
+            triplets,
+            folder,
+            seed=seed,
+            recipe=recipe,
+            card=_card(run, name, profile, len(triplets), drives, start),
+        )
         return _mark(weights)
-    train(
-        lambda settings: make_stage(settings, variant, start),
-        getattr(profile.training, variant.stage),
-        profile,
-        triplets,
-        run.training(name, seed),
-        seed=seed,
-        recipe=recipe,
-        card=_card(run, name, profile, len(triplets), drives, start),
-    )
-    return _mark(weights)
+
+
+def _alone(folder: Path) -> contextlib.AbstractContextManager[object]:
+    """Hold the lock of a training's folder."""
+    if not ranks.is_main():
+        return contextlib.nullcontext()
+    check_writable(folder)
+    return locked(folder / "lock", PATIENCE)
 
 
 def training_data(run: Run, name: str) -> tuple[list[Triplet], list[str]]:

@@ -4,15 +4,16 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 
 import pytest
 
 from dualdepth.errors import InputError
-from dualdepth.lock import locked
+from dualdepth.lock import locked, sign
 
 HOLDER = """
 import sys, time
-from dualdepth.lock import locked
+from dualdepth.lock import locked, sign
 with locked(sys.argv[1]):
     print("held", flush=True)
     time.sleep(60)
@@ -61,3 +62,20 @@ def test_the_lock_is_free_again_after_a_run_and_after_a_failed_one(tmp_path):
 def test_other_profiles_run_side_by_side(tmp_path, holder):
     with locked(tmp_path / "other" / "lock"):
         pass
+
+
+def test_who_is_ending_is_waited_for(tmp_path, holder):
+    threading.Timer(0.3, holder.kill).start()
+    with locked(tmp_path / "lock", patience=20):
+        assert str(os.getpid()) in (tmp_path / "lock").read_text()
+
+
+def test_a_process_that_was_handed_the_lock_holds_it_on_when_the_one_that_took_it_is_gone(tmp_path):
+    with locked(tmp_path / "lock") as file:
+        heir = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE, pass_fds=[file.fileno()])
+        sign(file, f", whose heir is process {heir.pid}")
+    with pytest.raises(InputError, match=f"whose heir is process {heir.pid}; wait for it or stop it"), locked(tmp_path / "lock"):
+        pass
+    heir.communicate(b"\n")
+    with locked(tmp_path / "lock"):
+        assert "heir" not in (tmp_path / "lock").read_text()

@@ -19,6 +19,7 @@ from dualdepth.data.odometry import write_odometry_index
 from dualdepth.data.triplets import drive_triplets
 from dualdepth.errors import InputError
 from dualdepth.hr_stage import HRStage
+from dualdepth.lock import locked
 from dualdepth.networks.architecture import Architecture
 from dualdepth.networks.lr_net import LRNet
 from dualdepth.networks.pose_net import PoseNet
@@ -242,6 +243,17 @@ def test_what_is_done_is_not_trained_again_but_marked(trained, capsys, monkeypat
         assert train_variant(trained, "dual", 0) == weights
     assert capsys.readouterr().out == 2 * "already trained: 3 steps, seed 0\n"
     assert weights.stat().st_mtime_ns == before
+
+
+def test_what_is_being_trained_is_not_trained_a_second_time_and_whose_it_is_is_said(trained, monkeypatch):
+    monkeypatch.setattr(trainings, "PATIENCE", 0.1)
+    with locked(trained.training("dual", 0) / "lock"):
+        with pytest.raises(InputError, match=rf"dual/seed0/lock: held by process {os.getpid()} on \S+; wait for it or stop it"):
+            train_variant(trained, "dual", 0)
+        train_variant(trained, "lr", 0)  # another variant is another training
+        monkeypatch.setenv("WORLD_SIZE", "2")
+        monkeypatch.setenv("RANK", "1")
+        train_variant(trained, "dual", 0)  # the second of two processes does not ask for what the first one holds
 
 
 def test_another_stage_1_makes_stage_2_stale(trained, after_stage_1):

@@ -53,13 +53,13 @@ def reproduce(arguments: argparse.Namespace) -> int:
         InputError: bad profile, seeds or paths, or a live run of the same profile.
     """
     import shutil
-    import subprocess
     import sys
 
     from dualdepth.atomic import write_json
     from dualdepth.errors import InputError
     from dualdepth.lock import locked
     from dualdepth.results import Run
+    from dualdepth.stopping import run_chain
 
     run = Run(arguments.profile)
     config = chain_config(arguments, run)
@@ -67,10 +67,10 @@ def reproduce(arguments: argparse.Namespace) -> int:
     command = [sys.executable, "-m", "snakemake", "--cores", arguments.cores, "--nolock", "--rerun-incomplete", "--quiet", "all"]
     if shutil.which("nvidia-smi"):
         command += ["--resources", "gpu=1"]  # one training at a time has the GPU to itself
-    with locked(run.work / "lock"):
+    with locked(run.work / "lock") as lock:
         write_json(run.given, {name: config[name] for name in (*ROOTS, "allow_leak")} | {"seeds": arguments.seeds})
-        done = subprocess.run([*command, *arguments.snakemake, "--config", *settings], cwd=run.root, check=False)
-    if done.returncode:
+        code = run_chain([*command, *arguments.snakemake, "--config", *settings], run.root, lock)
+    if code:
         logs = sorted((run.root / ".snakemake" / "log").glob("*.log"))
         raise InputError(f"the chain stopped, see above; Snakemake's log is {logs[-1].relative_to(run.root) if logs else 'not there'}")
     print(f"{run.profile.name}: {run.profile.about}")

@@ -1,5 +1,8 @@
 """From triplets to batches. Order and augmentation are functions of (seed, epoch, index), so a resume needs only the step."""
 
+import os
+import signal
+import threading
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -108,20 +111,30 @@ class StatelessBatches(Sampler[list[tuple[int, int]]]):
 
 
 def make_loader(dataset: TripletDataset, batches: StatelessBatches, workers: int) -> DataLoader:
-    """Loader of batches with `workers` processes; each decodes on one thread, so the training keeps its cores."""
+    """Loader of batches with `workers` processes; each decodes on one thread, so the training keeps its cores, and ends only with it."""
     return DataLoader(
         dataset,
         batch_sampler=batches,
         num_workers=workers,
-        worker_init_fn=_single_thread,
+        worker_init_fn=_begin_worker,
         pin_memory=torch.cuda.is_available(),
         prefetch_factor=4 if workers else None,
     )
 
 
-def _single_thread(_: int) -> None:
+def _begin_worker(_: int) -> None:
     cv2.setNumThreads(0)
     torch.set_num_threads(1)
+    if hasattr(signal, "sigwaitinfo"):  # not on macOS
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
+        threading.Thread(target=_heed_parent_alone, args=(os.getppid(),), daemon=True).start()
+
+
+def _heed_parent_alone(parent: int) -> None:
+    """End at the SIGTERM of the training, not at a cluster's notice to all processes: the training still needs samples for its step."""
+    while signal.sigwaitinfo({signal.SIGTERM}).si_pid != parent:
+        pass
+    os._exit(0)
 
 
 def to_unit(images: Tensor) -> Tensor:

@@ -33,6 +33,9 @@ DENIED = [
     ("depth", "."),
     ("odometry", "pred.txt"),
     ("labels", "labels.png"),
+    ("PNG frames", "own.yaml"),
+    ("PNG frames", "work/own/prepared/triplets.csv"),
+    ("PNG frames", "work/own/runs/lr/seed0"),
 ]
 """What is read, and which file or folder of it may not be touched; `.` is the folder to write to."""
 

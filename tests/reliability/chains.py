@@ -1,0 +1,254 @@
+"""`dualdepth reproduce` killed at random moments and started again, against the chain that was never killed.
+
+    python -m tests.reliability.chains --kills 20
+
+A chain is a process group of its own. A kill is SIGKILL to all that it started, as when a machine loses power, or to its group alone,
+which leaves the kernels of its notebooks behind.
+"""
+
+import argparse
+import contextlib
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+import psutil
+
+from dualdepth.checkpoints import finished_card, load_checkpoint
+from dualdepth.lock import holder
+from dualdepth.results import project_root
+from tests.reliability.counting import same_bytes, write_count
+
+PROFILE = {
+    "about": "a chain to be killed",
+    "world": {
+        **{"size": [200, 640], "train_drives": 1, "frames_per_drive": 10, "static_frames": 3, "laser_train_frames": 2, "test_drives": 1},
+        **{"test_frames": 2, "odometry_train": 1, "odometry_test": 0, "odometry_frames": 4, "make3d_images": 1},
+    },
+    "data": {"source": "miniature", "hr_size": [192, 288]},
+    "training": {
+        **{"pretrained": False, "workers": 1, "checkpoint_every": 1, "log_every": 1, "panel_every": 4},
+        **{"lr": {"batch_size": 2, "max_steps": 6, "epochs": 4}, "hr": {"batch_size": 2, "max_steps": 3, "epochs": 4}},
+    },
+    "train": {"lr": None, "dual": None},
+}
+TIMED = ("latency_ms", "peak_mb")
+"""How columns and rows begin or are called that no two runs share."""
+
+Outcome = dict[str, bytes]
+"""What a finished chain leaves, by name."""
+
+
+class Tally(NamedTuple):
+    """What became of the kills of one chain."""
+
+    kills: int
+    orphaning: int
+    """Kills of the group alone."""
+    identical: bool
+    """All that it leaves, to the byte; nothing half-written after any kill, nor at the end."""
+    compared: int
+    """Bytes."""
+    same: int
+    said: str
+    """What was wrong."""
+
+
+class Chain:
+    """A checkout whose chain can be started.
+
+    Args:
+        root: with Snakefile, notebooks and profile.
+        profile: its file.
+        outcome: what a finished chain leaves.
+        broken: files below `root` that are half-written.
+        path: a folder that goes before PATH.
+    """
+
+    def __init__(
+        self, root: Path, profile: Path, outcome: Callable[[], Outcome], broken: Callable[[], list[str]], path: Path | None = None
+    ) -> None:
+        self.root, self.profile, self.outcome, self.broken = root, profile, outcome, broken
+        self.environment = os.environ | {"PYTHONPATH": str(project_root())}
+        # what the notebooks' shells find as `dualdepth`
+        self.environment["PATH"] = os.pathsep.join([*([str(path)] if path else []), str(Path(sys.executable).parent), os.environ["PATH"]])
+        self.work = root / "work" / profile.stem
+
+    def command(self, *words: str) -> list[str]:
+        """`dualdepth …` of the profile."""
+        return [sys.executable, "-m", "dualdepth.cli", *words, "--profile", str(self.profile)]
+
+    def start(self) -> subprocess.Popen[bytes]:
+        """Start it; what it says goes to `said.txt`."""
+        with open(self.root / "said.txt", "wb") as said:
+            return subprocess.Popen(
+                self.command("reproduce"), cwd=self.root, env=self.environment, stdout=said, stderr=said, start_new_session=True
+            )
+
+    def said(self) -> str:
+        """The end of what the last run said."""
+        return (self.root / "said.txt").read_text(errors="replace")[-2000:]
+
+    def clear(self) -> None:
+        """Remove all that it made."""
+        for folder in ("work", "results", ".snakemake"):
+            shutil.rmtree(self.root / folder, ignore_errors=True)
+
+
+def kill(chain: subprocess.Popen[bytes], everything: bool) -> None:
+    """SIGKILL to a chain's group, or to everything below it, and wait until it is gone."""
+    below = psutil.Process(chain.pid).children(recursive=True) if everything else []
+    os.killpg(chain.pid, signal.SIGKILL)
+    for process in below:
+        with contextlib.suppress(psutil.NoSuchProcess):
+            process.kill()
+    chain.wait()
+
+
+def kill_at_random(chain: Chain, kills: int, seconds: float, rng: random.Random) -> tuple[int, int, list[str]]:
+    """Start a chain, kill it, start it again … and at last let it end.
+
+    Returns:
+        Kills, those of the group alone, and what was wrong.
+    """
+    done, orphaning, wrong = 0, 0, []
+    while done < kills:
+        running, moment = chain.start(), time.monotonic() + rng.uniform(0.02, min(0.8, 2 / kills)) * seconds  # spread over the chain
+        while running.poll() is None and time.monotonic() < moment:
+            time.sleep(0.01)
+        if running.poll() is not None:
+            if running.returncode:
+                wrong.append(f"ended by itself: {chain.said()}")
+            break
+        everything = rng.random() < 0.5
+        kill(running, everything)
+        done, orphaning = done + 1, orphaning + (not everything)
+        wrong += chain.broken()
+        if everything and (left := holder(chain.work / "lock")):
+            wrong.append(f"the lock is still held by {left}")
+        print(f"  kill {done} of {kills} after {'everything' if everything else 'its group'} ran; {len(wrong)} wrong", flush=True)
+    if chain.start().wait():
+        wrong.append(f"did not end well: {chain.said()}")
+    return done, orphaning, wrong + chain.broken()
+
+
+def try_kills(chain: Chain, kills: int, each: int, seed: int = 0) -> list[Tally]:
+    """Run a chain unkilled, then again and again with up to `each` kills, until there were `kills`.
+
+    Raises:
+        RuntimeError: the unkilled one does not end well.
+    """
+    rng, tallies, began = random.Random(seed), [], time.monotonic()
+    if chain.start().wait():
+        raise RuntimeError(chain.said())
+    expected, seconds = chain.outcome(), time.monotonic() - began
+    while sum(tally.kills for tally in tallies) < kills:
+        chain.clear()
+        done, orphaning, wrong = kill_at_random(chain, min(each, kills - sum(tally.kills for tally in tallies)), seconds, rng)
+        found = chain.outcome()
+        wrong += [f"{name} differs" for name in sorted(expected.keys() | found.keys()) if expected.get(name) != found.get(name)]
+        same = sum(same_bytes(content, found.get(name, b"")) for name, content in expected.items())
+        tallies.append(Tally(done, orphaning, not wrong, sum(map(len, expected.values())), same, "; ".join(wrong)))
+    return tallies
+
+
+def make_chain(root: Path) -> Chain:
+    """The real chain of a small profile: all notebooks, both stages of a small network."""
+    from transformers import ResNetConfig
+
+    for name in ("Snakefile", "environment.lock"):
+        shutil.copyfile(project_root() / name, root / name)
+    shutil.copytree(project_root() / "notebooks", root / "notebooks")
+    small = ResNetConfig(hidden_sizes=[16, 32, 48, 64], depths=[1, 1, 1, 1], embedding_size=16, layer_type="basic")
+    small.save_pretrained(root / "encoder")
+    profile = root / "killed.yaml"
+    profile.write_text(json.dumps(PROFILE | {"training": PROFILE["training"] | {"encoder": str(root / "encoder")}}))  # JSON is YAML
+    return Chain(root, profile, lambda: outcome(root), lambda: broken(root))
+
+
+def outcome(root: Path) -> Outcome:
+    """Tables without what is timed, prepared files, weights."""
+    files = [p for pattern in ("work/*/prepared/*", "work/*/runs/*/*/*.safetensors") for p in sorted(root.glob(pattern)) if p.is_file()]
+    found = {str(path.relative_to(root)): path.read_bytes() for path in files}
+    for path in sorted(root.glob("results/*/tables/*.csv")):
+        if path.name == "backbone.csv":
+            table = pd.read_csv(path)
+            found[path.name] = table[[name for name in table if not name.startswith(TIMED)]].to_csv(index=False).encode()
+        else:
+            lines = path.read_bytes().splitlines(keepends=True)
+            found[path.name] = b"".join(line for line in lines if not any(name.encode() in line for name in TIMED))
+    found["pages"] = "\n".join(sorted(p.name for p in root.glob("results/*/notebooks/*"))).encode()
+    return found
+
+
+def _read_arrays(path: Path) -> None:
+    with np.load(path) as arrays:
+        for name in arrays.files:
+            arrays[name]
+
+
+READERS: dict[str, Callable[[Path], object]] = {
+    ".json": lambda path: json.loads(path.read_bytes()),
+    ".ipynb": lambda path: json.loads(path.read_bytes())["cells"],
+    ".csv": lambda path: path.read_bytes() == b"\n" or (path.read_bytes().endswith(b"\n") and pd.read_csv(path).columns[0]),  # or empty
+    ".npz": _read_arrays,
+    ".pt": load_checkpoint,
+    ".html": lambda path: path.read_bytes().rstrip().endswith(b"</html>"),
+    ".safetensors": lambda path: finished_card(path) or not path.with_name("trained.json").exists(),
+}
+"""How to read each kind of file that a chain writes; an error or a false value means that it is not whole."""
+
+
+def broken(root: Path) -> list[str]:
+    """Files under their final names that are not whole."""
+    found = []
+    for path in sorted([*root.glob("work/*/**/*"), *root.glob("results/*/**/*")]):
+        read = READERS.get(path.suffix)
+        if read is None or not path.is_file() or ".part" in path.name or ".failed" in path.name:
+            continue
+        try:
+            whole = read(path)
+        except FileNotFoundError:  # an orphan's checkpoint, replaced by its next
+            continue
+        except Exception as error:  # each reader has errors of its own
+            whole, path = False, f"{path} ({error})"
+        if whole is False or whole == "":
+            found.append(f"half-written: {path}")
+    return found
+
+
+def main() -> int:
+    """Kill as often as asked and count."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--kills", type=int, default=20)
+    parser.add_argument("--each", type=int, default=10, help="kills of one chain, at most")
+    parser.add_argument("--seed", type=int, default=0, help="of the moments")
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as root:
+        tallies = try_kills(make_chain(Path(root)), arguments.kills, arguments.each, arguments.seed)
+    kills, orphaning = sum(t.kills for t in tallies), sum(t.orphaning for t in tallies)
+    held = sum(t.kills for t in tallies if t.identical)
+    note = f"{len(tallies)} chains of all notebooks, {orphaning} kills left kernels behind; tables, prepared files, weights to the byte"
+    write_count("chain killed by SIGKILL and started again", kills, held, note)
+    compared, same = sum(t.compared for t in tallies), sum(t.same for t in tallies)
+    write_count("bytes lost by killed chains", compared, same, f"{compared - same} of prepared files, tables and weights")
+    print(f"{held} of {kills} kills harmless: {note}")
+    for tally in tallies:
+        if tally.said:
+            print(tally.said)
+    return 0 if held == kills and all(t.same == t.compared for t in tallies) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

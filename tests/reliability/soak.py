@@ -1,0 +1,134 @@
+"""The long form of the tests of reliability, counted in `results/published/reliability.csv`.
+
+    python -m tests.reliability.soak                  # all parts
+    python -m tests.reliability.soak kills chains     # some; the rows of the others stay
+
+A part is a process of its own, which appends its counts to a file. One that fails, or counts nothing, is a row that did not hold, and the
+next goes on. Beside the table lies `reliability.json`, with each part's stamp.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pandas as pd
+
+from dualdepth.atomic import write_json, write_text
+from dualdepth.results import Run, project_root
+
+OUT = project_root() / "results" / "published" / "reliability.csv"
+STAMP = ("device", "made", "version", "revision", "dirty", "lock_sha256", "python", "machine")
+TESTS = "tests/reliability"
+Row = dict[str, Any]
+
+
+class Part(NamedTuple):
+    """One command of the soak."""
+
+    about: str
+    """The row of a part that counts by its tests; else what is said while it runs."""
+    words: list[str]
+    """What Python runs."""
+    examples: str = ""
+    """DUALDEPTH_EXAMPLES, how much is fuzzed."""
+    counted: bool = False
+    """Whether its tests count their cases themselves; their sum is one row."""
+
+
+def by_pytest(*words: str) -> list[str]:
+    """A call of pytest."""
+    return ["-m", "pytest", *words, "-p", "no:cacheprovider", "--timeout", "0"]
+
+
+PARTS = {
+    "kills": Part("trainings killed", ["-m", "tests.reliability.kills", "--kills", "50"]),
+    "chains": Part("chains killed", ["-m", "tests.reliability.chains", "--kills", "20"]),
+    "parity": Part("two processes against one", ["-m", "tests.reliability.ddp"]),
+    "ranks": Part("tests of several processes that stop, die, share and resume", by_pytest(f"{TESTS}/test_ddp.py", "-m", "slow")),
+    "stops": Part("SIGTERM: checkpoint and one line", by_pytest(f"{TESTS}/test_stopping.py", "-m", "slow or soak"), counted=True),
+    "disk": Part("full disks, closed folders, removed files", by_pytest(f"{TESTS}/test_disk.py"), counted=True),
+    "degenerate": Part("degenerate frames and networks, finite gradients", by_pytest(f"{TESTS}/test_degenerate.py"), counted=True),
+    "inputs": Part("bad inputs named in one line", by_pytest(f"{TESTS}/test_bad_inputs.py", f"{TESTS}/test_permissions.py"), counted=True),
+    "fuzz": Part("damaged files that crash no reader", by_pytest(TESTS, "-m", "fuzz"), examples="1000", counted=True),
+}
+
+
+def run_part(name: str, part: Part) -> list[Row]:
+    """Run a part and read what it counted.
+
+    Returns:
+        Rows with `test`, `tried`, `held`, `note`; what went wrong is one that did not hold.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        counts, report = Path(folder) / "counts.jsonl", Path(folder) / "report.xml"
+        words = [*part.words, *([f"--junitxml={report}"] if "pytest" in part.words else [])]
+        environment = os.environ | {"OMP_NUM_THREADS": "1", "DUALDEPTH_RELIABILITY": str(counts)}
+        environment |= {"DUALDEPTH_EXAMPLES": part.examples} if part.examples else {}
+        code = subprocess.run([sys.executable, *words], cwd=project_root(), env=environment, check=False).returncode
+        rows = [json.loads(line) for line in counts.read_text(encoding="utf-8").splitlines()] if counts.exists() else []
+        if report.exists():
+            rows = [_of_tests(part, rows, report)]
+    failed = code != 0 and all(row["held"] == row["tried"] for row in rows)
+    if failed or not sum(row["tried"] for row in rows):
+        rows.append({"test": part.about, "tried": 1, "held": 0, "note": f"part {name} ended with {code} and counted too little"})
+    return rows
+
+
+def _of_tests(part: Part, rows: list[Row], report: Path) -> Row:
+    """The sum of what the tests counted, or the number of tests."""
+    suite = ElementTree.parse(report).getroot().find("testsuite")
+    total, skipped = (int(suite.get(name, 0)) for name in ("tests", "skipped"))
+    bad = int(suite.get("failures", 0)) + int(suite.get("errors", 0))
+    note = f"{total - skipped} tests, {bad} failed" + (f", {skipped} skipped" if skipped else "")
+    if part.counted:
+        tried, held = (sum(row[key] for row in rows) for key in ("tried", "held"))
+        return {"test": part.about, "tried": tried, "held": held, "note": f"{note}; {tried - held} cases went wrong"}
+    return {"test": part.about, "tried": total - skipped, "held": total - skipped - bad, "note": note}
+
+
+def save(name: str, rows: list[Row], stamp: dict[str, Any]) -> None:
+    """Put a part's rows into the table, and its stamp beside it."""
+    path = OUT.with_suffix(".json")
+    parts = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    parts[name] = {"rows": rows, **stamp}
+    parts = {name: parts[name] for name in PARTS if name in parts}
+    table = pd.DataFrame([row | {"device": part["device"]} for part in parts.values() for row in part["rows"]])
+    write_text(OUT, table[["test", "tried", "held", "note", "device"]].to_csv(index=False))
+    write_json(path, parts)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the parts that are asked for."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}; all if none is named")
+    arguments = parser.parse_args(argv)
+    if unknown := sorted(set(arguments.parts) - set(PARTS)):
+        parser.error(f"unknown part {', '.join(unknown)}; there are {', '.join(PARTS)}")
+    run = Run("tiny", project_root())
+    run.stamp([])  # the revision before anything is written
+    held = True
+    for name in [name for name in PARTS if not arguments.parts or name in arguments.parts]:
+        print(f"▶ {name}: {PARTS[name].about}", flush=True)
+        began = time.monotonic()
+        rows = run_part(name, PARTS[name])
+        seconds = round(time.monotonic() - began)
+        save(name, rows, {key: value for key, value in run.stamp([]).items() if key in STAMP} | {"seconds": seconds})
+        for row in rows:
+            print(
+                f"{'✓' if row['held'] == row['tried'] else '✗'} {row['test']}: {row['held']} of {row['tried']}; {row['note']}", flush=True
+            )
+        held = held and all(row["held"] == row["tried"] for row in rows)
+        print(f"  {seconds} s", flush=True)
+    print(f"{OUT.relative_to(project_root())}: {'all held' if held else 'NOT ALL HELD'}")
+    return 0 if held else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

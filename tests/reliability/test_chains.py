@@ -1,0 +1,105 @@
+"""The chain is killed, told to stop, or doubled; the next run ends as if nothing had been. The soak does this with the real notebooks."""
+
+import os
+import re
+import signal
+import subprocess
+import time
+
+import pytest
+
+from dualdepth.lock import holder
+from tests.reliability.chains import Chain, try_kills
+from tests.small_chain import SmallChain
+
+LAST = "the last line\n"
+SLOWLY = f"""
+    with atomic_path(path) as partial:
+        partial.write_text(words)
+        time.sleep(0.05)
+        while pathlib.Path("wait").exists():
+            time.sleep(0.05)
+        partial.write_text(words + "\\n{LAST[:-1]}\\n")
+"""
+
+
+@pytest.fixture
+def chain(tmp_path):
+    """A chain whose notebooks are stand-ins that write their files slowly."""
+    small = SmallChain.make(tmp_path)
+    command = tmp_path / "bin/dualdepth"
+    code = command.read_text()
+    assert "path.write_text(words)" in code
+    code = code.replace("import pathlib, re, sys", "import pathlib, re, sys, time\nfrom dualdepth.atomic import atomic_path")
+    command.write_text(code.replace("path.write_text(words)", SLOWLY.strip()))
+    return Chain(tmp_path, small.profile, lambda: made(tmp_path), lambda: broken(tmp_path), tmp_path / "bin")
+
+
+def made(root):
+    """All that the chain leaves, but for its bookkeeping."""
+    files = [path for folder in ("work", "results") for path in sorted((root / folder).rglob("*")) if path.is_file()]
+    return {str(path.relative_to(root)): path.read_bytes() for path in files if path.name not in ("lock", "given.json")}
+
+
+def broken(root):
+    """Files under their final names that do not end as they should."""
+    return [name for name, content in made(root).items() if ".part" not in name and not content.endswith(LAST.encode())]
+
+
+def begun(chain):
+    """A run of the chain that is at work on a notebook, and stays so while the file `wait` is there."""
+    (chain.root / "wait").touch()
+    running, until = chain.start(), time.monotonic() + 120
+    while not any((chain.root / "results").glob("*/notebooks/.*.part*")):
+        assert running.poll() is None and time.monotonic() < until, chain.said()
+        time.sleep(0.01)
+    return running
+
+
+def again(chain):
+    """A second run, while the first one is at work: its exit code and what it says."""
+    done = subprocess.run(chain.command("reproduce"), cwd=chain.root, env=chain.environment, capture_output=True, text=True, check=False)
+    return done.returncode, done.stderr
+
+
+@pytest.mark.slow
+def test_a_chain_killed_at_random_ends_with_the_same_files(chain, counted):
+    with counted():
+        tallies = try_kills(chain, kills=2, each=2)
+        assert sum(tally.kills for tally in tallies) == 2
+        assert all(tally.identical and tally.said == "" and tally.same == tally.compared > 1000 for tally in tallies)
+    assert not list(chain.root.glob("w*/**/*.part*"))
+
+
+@pytest.mark.slow
+def test_a_live_run_stops_a_second_one_and_says_whose_it_is_also_when_only_snakemake_is_left(chain, counted):
+    running = begun(chain)
+    with counted():
+        code, said = again(chain)
+        assert code == 2 and len(said.splitlines()) == 1 and f"held by process {running.pid} on " in said
+    snakemake = int(re.search(r"Snakemake is process (\d+)", said)[1])
+    running.kill()
+    running.wait()
+    with counted():
+        code, said = again(chain)
+        assert code == 2 and f"whose Snakemake is process {snakemake}" in said
+    os.killpg(running.pid, signal.SIGKILL)
+    until = time.monotonic() + 10
+    with counted():
+        while holder(chain.work / "lock"):
+            assert time.monotonic() < until
+            time.sleep(0.01)
+
+
+@pytest.mark.slow
+def test_a_chain_that_is_told_to_stop_tells_its_notebooks_and_ends_in_one_line(chain, counted):
+    command = chain.root / "bin/dualdepth"
+    told = 'import signal, sys\ndef told(*_):\n    open("told.txt", "w")\n    sys.exit(1)\nsignal.signal(signal.SIGTERM, told)\n'
+    command.write_text(command.read_text().replace("import pathlib", told + "import pathlib", 1))
+    running = begun(chain)
+    with counted():
+        running.terminate()
+        assert running.wait(timeout=60) == 1
+        assert chain.said().splitlines()[-1] == "stopped; run the same command to go on"
+        assert (chain.root / "told.txt").exists()
+        assert holder(chain.work / "lock") is None

@@ -1,0 +1,103 @@
+"""Frames and networks that say nothing: both stages, whole, survive them with finite losses and gradients of all weights."""
+
+import pytest
+import torch
+from test_hr_stage import batch_of, dual_of, stage_of  # noqa: F401
+
+from dualdepth import stages as stages_module
+from dualdepth.config import load_profile
+from dualdepth.networks.pose_net import POSE_SCALE
+from dualdepth.stages import LRStage
+
+# ruff: noqa: F811
+SIZE = (192, 192)
+
+
+@pytest.fixture(scope="module")
+def stages(dual_of):
+    """Makes a stage with all its networks, small."""
+
+    def make(name):
+        stage = stage_of(dual_of("attention"))
+        if name == "lr":
+            profile = load_profile("tiny")
+            lr_net, pose_net = stage.depth_net.lr_net, stage.pose_net
+            with pytest.MonkeyPatch.context() as patched:  # instead of the profile's large ones
+                patched.setattr(stages_module, "LRNet", lambda *_, **__: lr_net)
+                patched.setattr(stages_module, "PoseNet", lambda *_, **__: pose_net)
+                stage = LRStage(profile).requires_grad_()
+        return stage.train()
+
+    return make
+
+
+def pixels(value):
+    return lambda stage, batch: batch["images"].fill_(value)
+
+
+def still(stage, batch):
+    batch["images"][:, 1:] = batch["images"][:, :1]
+    move(0, 0.0)(stage, batch)
+
+
+def move(axis, value):
+    """All poses have this translation or angle on one axis, and nothing else."""
+
+    def change(stage, batch):
+        last = stage.pose_net.layers[-1]
+        torch.nn.init.zeros_(last.weight)
+        torch.nn.init.zeros_(last.bias)
+        last.bias.data[axis::6] = value / POSE_SCALE
+
+    return change
+
+
+def decoders(stage):
+    """The decoder that gives the stage's depth."""
+    net = getattr(stage.depth_net, "hr_net", stage.depth_net)
+    return net.decoder
+
+
+def bounds(stage, batch):
+    for head in decoders(stage).heads:
+        head.bias.data.fill_(1e4)  # the nearest depth
+
+
+def far(stage, batch):
+    for head in decoders(stage).heads:
+        head.bias.data.fill_(-1e4)
+
+
+def constant(stage, batch):
+    for merge in decoders(stage).merge:
+        for layer in merge:
+            if hasattr(layer, "weight"):
+                torch.nn.init.zeros_(layer.weight)
+
+
+CASES = {
+    "black frames": pixels(0),
+    "white frames": pixels(255),
+    "no motion": still,
+    "depth at its nearest": bounds,
+    "depth at its farthest": far,
+    "points behind the camera": move(2, -1e3),
+    "no valid pixel": move(0, 1e6),
+    "half a turn": move(4, 3.14159),
+    "constant features": constant,
+}
+
+
+@pytest.mark.parametrize("name", ["lr", "hr"])
+@pytest.mark.parametrize("case", CASES)
+def test_losses_and_gradients_of_a_whole_stage_stay_finite(stages, case, name, counted):
+    stage, batch = stages(name), batch_of(1, SIZE)
+    CASES[case](stage, batch)
+    with counted():
+        output = stage(batch)
+        output.losses.total.backward()
+        assert output.losses.total.isfinite()
+        if case == "no valid pixel":
+            assert output.losses.valid_share == 0
+        gradients = [p.grad for p in stage.parameters() if p.grad is not None]
+        assert gradients and all(gradient.isfinite().all() for gradient in gradients)
