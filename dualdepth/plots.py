@@ -199,7 +199,8 @@ def cost_bars(costs: pd.DataFrame) -> Picture:
     left.set_yticks(places, costs.index, fontsize=8)
     left.set_title("10⁹ multiply-accumulates", fontsize=9, loc="left")
     right.barh(places + 0.2, costs["latency_ms"], 0.4, label="float32")
-    right.barh(places - 0.2, costs["latency_ms_bf16"], 0.4, label="bf16")
+    if costs["latency_ms_bf16"].notna().any():
+        right.barh(places - 0.2, costs["latency_ms_bf16"], 0.4, label="bf16")
     right.set_title(f"milliseconds an image on {costs['device'].iloc[0]}", fontsize=9, loc="left")
     right.legend(fontsize=7)
     return figure

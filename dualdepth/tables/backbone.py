@@ -1,5 +1,6 @@
 """The overhead table: what each network costs, and what it gives."""
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,6 +12,7 @@ from dualdepth import paper
 from dualdepth.evaluation.cost import count, latency
 from dualdepth.networks.architecture import Architecture
 from dualdepth.networks.dual_net import BothDepths
+from dualdepth.precision import has_bf16
 from dualdepth.results import Run, device_name
 from dualdepth.scoring import device
 from dualdepth.tables.rows import compare_trainings, training_row, with_paper
@@ -27,7 +29,10 @@ NETWORKS = {
 
 
 def cost_row(name: str, repeats: int) -> dict[str, Any]:
-    """Parameters, operations, time and memory of one inference at the paper's sizes, whatever the profile's; weights are new."""
+    """Parameters, operations, time and memory of one inference at the paper's sizes, whatever the profile's; weights are new.
+
+    Time and memory in bf16 are NaN on a device that only imitates it.
+    """
     architecture, _ = NETWORKS[name]
     net: nn.Module = architecture.build()
     if name == WITHOUT_DECODER:
@@ -39,8 +44,10 @@ def cost_row(name: str, repeats: int) -> dict[str, Any]:
     net, image = net.to(where, memory_format=torch.channels_last), image.to(where)
     row: dict[str, Any] = {"params_m": cost.params / 1e6, "gmacs": cost.macs / 1e9, "device": device_name()}
     for precision, suffix in (("float32", ""), ("bf16", "_bf16")):
-        measured = latency(net, image, repeats=repeats, warmup=1, precision=precision)
-        row |= {f"latency_ms{suffix}": measured.median_ms, f"peak_mb{suffix}": measured.peak_mb}
+        row |= {f"latency_ms{suffix}": math.nan, f"peak_mb{suffix}": math.nan}
+        if precision == "float32" or has_bf16(where):
+            measured = latency(net, image, repeats=repeats, warmup=1, precision=precision)
+            row |= {f"latency_ms{suffix}": measured.median_ms, f"peak_mb{suffix}": measured.peak_mb}
     return row
 
 
@@ -51,9 +58,10 @@ def backbone_table(run: Run, seeds: Sequence[int], repeats: int = 3) -> pd.DataF
     the metrics, n, seeds, source, note.
     """
     rows = []
+    imitated = "" if has_bf16(torch.device(device())) else ", bf16 not measured: the device only imitates it"
     for name, (_, variant) in NETWORKS.items():
         trained = training_row(run, variant, seeds)
-        note = f"cost of a new network at the paper's size; metrics of variant {variant}: {trained['note']}"
+        note = f"cost of a new network at the paper's size{imitated}; metrics of variant {variant}: {trained['note']}"
         rows.append({"backbone": name, **cost_row(name, repeats), **trained, "note": note})
     pretrained = bool(run.profile.training.pretrained)
     without = "no ImageNet weights in this profile: `training.pretrained` is false"

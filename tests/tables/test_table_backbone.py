@@ -29,6 +29,7 @@ def latencies(monkeypatch):
 
     monkeypatch.setattr(backbone, "latency", latency)
     monkeypatch.setattr(backbone, "device", lambda: "meta")
+    monkeypatch.setattr(backbone, "has_bf16", lambda device: True)
     monkeypatch.setattr(backbone, "device_name", lambda: "a device, 2 threads")
     monkeypatch.setattr(torch, "autocast", lambda *_, **__: contextlib.nullcontext())  # it knows no tensors without values
     with torch.device("meta"):
@@ -43,6 +44,7 @@ def scored(make_scores, give):
 @pytest.fixture
 def cheap(monkeypatch):
     monkeypatch.setattr(backbone, "cost_row", lambda name, repeats: {"params_m": float(repeats), "gmacs": 2.0})
+    monkeypatch.setattr(backbone, "has_bf16", lambda device: True)
 
 
 def counted_by_hand(modules, run):
@@ -107,6 +109,16 @@ def test_costs_are_those_counted_by_hand(name, latencies):
     assert latencies == [(size, 4, "float32"), (size, 4, "bf16")]
     assert (row["latency_ms"], row["latency_ms_bf16"], row["peak_mb"], row["peak_mb_bf16"]) == (7, 3, 100, 60)
     assert row["device"] == "a device, 2 threads"
+
+
+def test_what_a_device_only_imitates_is_not_measured_and_the_row_says_so(latencies, scored, make_run, monkeypatch):
+    monkeypatch.setattr(backbone, "has_bf16", lambda device: False)
+    row = cost_row("LR-Net (ResNet50)", 4)
+    assert [precision for *_, precision in latencies] == ["float32"]
+    assert row["latency_ms"] == 7 and row["latency_ms_bf16"] != row["latency_ms_bf16"]
+    monkeypatch.setattr(backbone, "cost_row", lambda name, repeats: row)
+    measured = backbone_table(make_run(), [0]).query("source == 'measured'").set_index("backbone")
+    assert "bf16 not measured" in measured.loc["ResNet18", "note"]
 
 
 @pytest.mark.parametrize("name", ["MobileNet V2", "ResNet18", "Dual-network (ResNet50)"])
