@@ -7,7 +7,7 @@ import statistics
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ from dualdepth.hr_stage import HRStage
 from dualdepth.memory import keep_freed_memory
 from dualdepth.networks.architecture import Architecture
 from dualdepth.networks.pose_net import PoseNet
+from dualdepth.precision import Precision, has_bf16
 from dualdepth.results import device_name
 from dualdepth.stages import LRStage
 
@@ -129,10 +130,11 @@ def bench(encoder: str, repeats: int) -> pd.DataFrame:
     """All measurements: columns what, value, unit."""
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     base = load_profile("paper")
-    training = base.training.model_copy(update={"encoder": encoder, "pretrained": False})
+    precisions: list[Precision] = ["bf16", "float32"] if has_bf16(device) else ["float32"]
+    training = base.training.model_copy(update={"encoder": encoder, "pretrained": False, "precision": precisions[0]})
     profile = base.model_copy(update={"training": training})
     rows: list[tuple[str, float, str]] = []
-    with tempfile.TemporaryDirectory() as folder, tqdm(total=9, desc="measuring", unit="part") as bar:
+    with tempfile.TemporaryDirectory() as folder, tqdm(total=7 + len(precisions), desc="measuring", unit="part") as bar:
         dataset = TripletDataset([write_frames(Path(folder))], profile.data.hr_size, training.augmentation, 0)
         cv2.setNumThreads(1)
         load = median_seconds(lambda: dataset[0, 0], 10 * repeats)
@@ -142,39 +144,40 @@ def bench(encoder: str, repeats: int) -> pd.DataFrame:
         batch = default_collate([dataset[epoch, 0] for epoch in range(training.lr.batch_size)])
         batch = {k: v.to(device) if torch.is_tensor(v) else v for k, v in batch.items()}
         steps = {}
-        for precision in ("bf16", "float32"):
+        for precision in precisions:
             setting = training.model_copy(update={"precision": precision})
             steps[precision] = median_step("lr", profile.model_copy(update={"training": setting}), batch, device, repeats)
             bar.update()
-        chosen = steps["bf16"]
-        rows.append((f"stage 1 step, {encoder} 128x416, batch 4, bf16", chosen["step"], "s"))
+        chosen = steps[precisions[0]]
+        rows.append((f"stage 1 step, {encoder} 128x416, batch 4, {precisions[0]}", chosen["step"], "s"))
         rows += [(f"  of it {part}", chosen[part] / chosen["step"], "share") for part in ("networks", "losses", "backward", "optimiser")]
-        rows.append(("  float32 step / bf16 step", steps["float32"]["step"] / chosen["step"], "ratio"))
+        if "bf16" in steps:
+            rows.append(("  float32 step / bf16 step", steps["float32"]["step"] / chosen["step"], "ratio"))
         rows.append(("  loading a batch on one core / step", load * training.lr.batch_size / chosen["step"], "ratio"))
         rows += high_resolution_steps(profile, batch, device, max(repeats // 2, 1), bar)
-    rows += inference(device, repeats)
+    rows += inference(device, repeats, precisions)
     return pd.DataFrame(rows, columns=["what", "value", "unit"]).assign(device=device_name())
 
 
 def high_resolution_steps(
     profile: Profile, batch: dict[str, Any], device: torch.device, repeats: int, bar: tqdm
 ) -> list[tuple[str, float, str]]:
-    """Stage 2's step against that of a ResNet18 network with the same decoder at the same resolution, both in bf16."""
+    """Stage 2's step against that of a ResNet18 network with the same decoder at the same resolution."""
     rows, steps = [], {}
     for name in ("dual", "resnet18"):
         steps[name] = alone(median_step, name, profile, batch, device, repeats)
-        rows.append((f"stage 2 step, {name} 384x1248, batch 4, bf16", steps[name]["step"], "s"))
+        rows.append((f"stage 2 step, {name} 384x1248, batch 4, {profile.training.precision}", steps[name]["step"], "s"))
         rows.append(("  peak memory", steps[name]["peak_mb"], "MB"))
         bar.update(2)
     rows += [(f"  dual / resnet18, {part}", steps["dual"][part] / steps["resnet18"][part], "ratio") for part in ("step", "peak_mb")]
     return rows
 
 
-def inference(device: torch.device, repeats: int) -> list[tuple[str, float, str]]:
+def inference(device: torch.device, repeats: int, precisions: Sequence[Precision]) -> list[tuple[str, float, str]]:
     """One image by the dual network of the paper (LR-Net's decoder not run) and by ResNet18, both at 384x1248."""
     rows, image = [], torch.rand(1, 3, 384, 1248, device=device)
     nets = {name: make_net(name).to(device, memory_format=torch.channels_last) for name in ("dual", "resnet18")}
-    for precision in ("float32", "bf16"):
+    for precision in precisions:
         measured = {name: latency(net, image, repeats=repeats, precision=precision) for name, net in nets.items()}
         rows += [(f"inference, {name} 384x1248, {precision}", m.median_ms, "ms") for name, m in measured.items()]
         rows.append(("  dual / resnet18", measured["dual"].median_ms / measured["resnet18"].median_ms, "ratio"))
