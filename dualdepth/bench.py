@@ -21,6 +21,7 @@ from torch.utils.data import default_collate
 from tqdm import tqdm
 
 from dualdepth.atomic import write_text
+from dualdepth.bench_runtimes import runtimes
 from dualdepth.config import Profile, load_profile
 from dualdepth.data.loading import TripletDataset
 from dualdepth.data.triplets import Triplet
@@ -156,6 +157,7 @@ def bench(encoder: str, repeats: int) -> pd.DataFrame:
         rows.append(("  loading a batch on one core / step", load * training.lr.batch_size / chosen["step"], "ratio"))
         rows += high_resolution_steps(profile, batch, device, max(repeats // 2, 1), bar)
     rows += inference(device, repeats, precisions)
+    rows += runtimes(repeats)
     return pd.DataFrame(rows, columns=["what", "value", "unit"]).assign(device=device_name())
 
 
