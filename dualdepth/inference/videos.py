@@ -69,7 +69,7 @@ class Writer:
         self.path, self.rate, self.count, self._file = path, rate, 0, None
 
     def write(self, frame: np.ndarray) -> None:
-        """Append a frame; odd sizes, which the codec has not, get a row or column of the ground.
+        """Append a frame; odd sizes, which the codec has not, get their last row or column twice.
 
         Raises:
             OSError: the codec is not there.
