@@ -16,7 +16,7 @@ from dualdepth.data import download
 from dualdepth.errors import InputError
 
 REPOSITORY = Path(__file__).parents[2]
-LOGS = ("log.csv", "events.out.tfevents", "panels")
+LOGS = ("log.csv", "events.out.tfevents", "panels", "seed0/lock")
 """What a training writes before it reads its first frame."""
 
 
