@@ -5,7 +5,7 @@ import os
 import statistics
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import torch
@@ -95,7 +95,7 @@ def in_turns(runs: dict[str, Callable[[], object]], repeats: int) -> dict[str, f
 
 
 @contextlib.contextmanager
-def _environment(name: str, value: str):
+def _environment(name: str, value: str) -> Iterator[None]:
     """An environment variable for a while."""
     before = os.environ.get(name)
     os.environ[name] = value
