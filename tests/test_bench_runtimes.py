@@ -50,8 +50,18 @@ def test_without_a_compiler_and_a_package_it_says_so_and_measures_pytorch(monkey
 
 @pytest.mark.slow
 def test_onnx_runtime_is_measured_beside_pytorch(monkeypatch):
-    monkeypatch.setattr(torch, "compile", lambda net: net)  # which takes a minute
+    layouts = set()
+
+    def compiled(net):  # which takes a minute, and again whenever a layout has changed
+        def run(image):
+            layouts.add((image.stride(), *(parameter.stride() for parameter in net.parameters())))
+            return net(image)
+
+        return run
+
+    monkeypatch.setattr(torch, "compile", compiled)
     rows = {what: value for what, value, _ in bench_runtimes.runtimes(1, "mobilenet_v2", (192, 192))}
     times = {name: rows[f"inference, dual 192x192, float32, CPU, {name}"] for name in ("PyTorch", "compiled PyTorch", "ONNX Runtime")}
     assert all(value > 0 for value in times.values())
     assert rows["  ONNX Runtime / PyTorch"] == pytest.approx(times["ONNX Runtime"] / times["PyTorch"])
+    assert len(layouts) == 1
