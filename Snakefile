@@ -72,7 +72,7 @@ rule all:
 
 rule quickstart:
     input:
-        [f"{WORK}/runs/dual/seed{SEEDS[0]}/trained.json"] if "dual" in TRAINED else [],
+        f"{WORK}/runs/{'dual' if 'dual' in TRAINED else 'lr'}/seed{SEEDS[0]}/trained.json",
     output:
         f"{RESULTS}/notebooks/00_quickstart.ipynb",
     params:

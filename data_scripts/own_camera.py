@@ -74,6 +74,8 @@ def make(
         raise InputError(
             "the camera: give one of --intrinsics fx,fy,cx,cy (or a calibration file), --chessboard FOLDER --squares 9x6, or --fov DEGREES"
         )
+    if squares and not chessboard:
+        raise InputError(f"--squares {squares}: is of a chessboard; give --chessboard FOLDER or a video, too")
     read_from = [f.digest() for f in (*footages, *([board] if board else []))]
     if file:
         read_from.append(_file_digest(file))
@@ -95,6 +97,8 @@ def make(
             if out.exists():
                 out.rmdir()
             partial.rename(out)
+        except OSError as error:
+            raise InputError(f"{out}: could not be written ({error.strerror or error}); free space, or give another --out") from None
         finally:
             shutil.rmtree(partial, ignore_errors=True)
     return Made(out, out / f"{name}.yaml", own.read_record(out) or {}, kept=False)

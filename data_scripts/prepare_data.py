@@ -114,7 +114,7 @@ def own_sources(run: Run, root: str, test_list: str) -> Sources:
     if not 1 / MOST_SQUEEZED < squeezed < MOST_SQUEEZED:
         raise InputError(
             f"profile {run.profile.name}: hr_size {height}x{width} squeezes frames of {camera['width']}×{camera['height']}; give"
-            f" PROFILE={Path(root) / 'own.yaml'}, which was written for them, or another hr_size"
+            f" PROFILE={next(iter(sorted(Path(root).glob('*.yaml'))), 'own.yaml')}, which was written for them, or another hr_size"
         )
     lists = Path(root).resolve() / "lists"
     drives = [line for _, line in numbered_lines(lists / "train_drives.txt")]

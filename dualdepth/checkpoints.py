@@ -19,7 +19,7 @@ from dualdepth.errors import InputError
 from dualdepth.precision import Precision
 
 HUB_CARD = "config.json"
-KEYS = {"recipe", "parts", "precision", "step", "model", "optimizer"}
+KEYS = {"recipe", "parts", "step", "model", "optimizer"}
 
 
 def checkpoint_path(folder: str | Path, step: int) -> Path:
@@ -105,7 +105,7 @@ def load_checkpoint(path: str | Path) -> dict[str, Any]:
     Raises:
         InputError: see `read_state`.
     """
-    return read_state(path, KEYS, "a checkpoint", "delete it to train from the start")
+    return {"precision": "float32"} | read_state(path, KEYS, "a checkpoint", "delete it to train from the start")
 
 
 def last_checkpoint(folder: str | Path, say: Callable[[str], object] = print) -> dict[str, Any] | None:

@@ -93,7 +93,7 @@ class DepthModel(ModelHubMixin):
         self.size = height, width
         """(height, width) that images are resized to."""
         self.device = choose_device(device)
-        self.precision = choose_precision(precision, self.device)
+        self.precision = inference_precision(precision, self.device)
         self.architecture = architecture
         self.net = (net or architecture.build()).eval().to(self.device)
 
@@ -157,7 +157,8 @@ class DepthModel(ModelHubMixin):
             hub = ("revision", "cache_dir", "token", "local_files_only", "force_download")
             return cls._of_file(Path(name) / WEIGHTS, **{key: value for key, value in options.items() if key not in hub})
         try:
-            return super().from_pretrained(str(name), **options)
+            # the mixin would take what is not given from the card, which names the machine of the training
+            return super().from_pretrained(str(name), **{"device": None, "precision": None} | options)
         except (OSError, ValueError, AttributeError) as error:  # no network, no such name, no JSON
             reason = next(iter(str(error).splitlines()), type(error).__name__)
             raise InputError(f"{name}: no folder, and not to be had from the model hub ({reason}); check the name") from None
@@ -235,7 +236,7 @@ def choose_device(device: str | torch.device | None) -> torch.device:
     return chosen
 
 
-def choose_precision(precision: str | None, device: torch.device) -> Precision:
+def inference_precision(precision: str | None, device: torch.device) -> Precision:
     """The precision that is asked for, or for None bf16 on a CUDA GPU that computes in it, else float32.
 
     Raises:

@@ -18,3 +18,11 @@ def is_main() -> bool:
 def on_cpu() -> bool:
     """Whether several processes work on a CPU: accelerate must be told, else each would work by itself."""
     return count() > 1 and not torch.cuda.is_available()
+
+
+def wait_for_all() -> None:
+    """Go on when all processes have come here."""
+    if count() > 1:
+        from accelerate import PartialState
+
+        PartialState(cpu=on_cpu()).wait_for_everyone()

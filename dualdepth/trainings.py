@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -58,12 +59,15 @@ def train_variant(run: Run, name: str, seed: int) -> Path:
         return _mark(weights)
 
 
-def _alone(folder: Path) -> contextlib.AbstractContextManager[object]:
-    """Hold the lock of a training's folder."""
-    if not ranks.is_main():
-        return contextlib.nullcontext()
-    check_writable(folder)
-    return locked(folder / "lock", PATIENCE)
+@contextlib.contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Hold the lock of a training's folder; the other processes wait for the first one to have it, before anything is read."""
+    with contextlib.ExitStack() as held:
+        if ranks.is_main():
+            check_writable(folder)
+            held.enter_context(locked(folder / "lock", PATIENCE))
+        ranks.wait_for_all()
+        yield
 
 
 def training_data(run: Run, name: str) -> tuple[list[Triplet], list[str]]:

@@ -13,11 +13,18 @@ from torch import nn
 
 import dualdepth
 from dualdepth.checkpoints import save_weights
-from dualdepth.model import UNIT, choose_device, choose_precision
+from dualdepth.model import UNIT, choose_device, inference_precision
 from dualdepth.networks.decoder import DepthOutput
 from dualdepth.predict import load_depth_net, predict_disparities
 
-CARD = {"network": "hr", "hr_size": [192, 288], "about": "a net, trained on 7 triplets: a test world", "drives": ["a/b"]}
+CARD = {
+    "network": "hr",
+    "hr_size": [192, 288],
+    "about": "a net, trained on 7 triplets: a test world",
+    "drives": ["a/b"],
+    "device": "AMD EPYC, 2 threads",
+    "precision": "bf16",
+}
 
 
 @pytest.fixture(scope="module")
@@ -165,10 +172,10 @@ def test_device_and_precision_are_chosen_and_settable(monkeypatch):
         choose_device("cuda:2")
     for has in (True, False):
         monkeypatch.setattr(torch.cuda, "is_bf16_supported", lambda including_emulation, has=has: has)
-        assert choose_precision(None, torch.device("cuda")) == ("bf16" if has else "float32")
-    assert choose_precision(None, torch.device("cpu")) == "float32"
+        assert inference_precision(None, torch.device("cuda")) == ("bf16" if has else "float32")
+    assert inference_precision(None, torch.device("cpu")) == "float32"
     with pytest.raises(dualdepth.InputError, match="precision 'fp8' is unknown"):
-        choose_precision("fp8", torch.device("cpu"))
+        inference_precision("fp8", torch.device("cpu"))
 
 
 @pytest.mark.parametrize(("precision", "dtype"), [("float32", torch.float32), ("bf16", torch.bfloat16)])

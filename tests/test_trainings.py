@@ -251,9 +251,12 @@ def test_what_is_being_trained_is_not_trained_a_second_time_and_whose_it_is_is_s
         with pytest.raises(InputError, match=rf"dual/seed0/lock: held by process {os.getpid()} on \S+; wait for it or stop it"):
             train_variant(trained, "dual", 0)
         train_variant(trained, "lr", 0)  # another variant is another training
+        waited = []
+        monkeypatch.setattr("dualdepth.ranks.wait_for_all", lambda: waited.append(True))
         monkeypatch.setenv("WORLD_SIZE", "2")
         monkeypatch.setenv("RANK", "1")
-        train_variant(trained, "dual", 0)  # the second of two processes does not ask for what the first one holds
+        train_variant(trained, "dual", 0)  # the second of two processes does not ask for what the first one holds, but waits for it
+        assert waited
 
 
 def test_another_stage_1_makes_stage_2_stale(trained, after_stage_1):

@@ -85,10 +85,12 @@ def predict(arguments: argparse.Namespace) -> int:
     keep_freed_memory()
     model = load(arguments.weights, arguments.device, arguments.precision)
     print(f"{arguments.weights}: {model.about}", flush=True)
-    out, style, weights = Path(arguments.out), Style(model.about, arguments.scale, camera), str(model.card.get("sha256"))
+    out, style = Path(arguments.out), Style(model.about, arguments.scale, camera)
+    weights = f"{str(model.card.get('sha256'))[:16]} in {model.precision}"
     check_writable(out)
     with locked(out / ".predict.lock"):
-        remove_leftovers(out, below=False)
+        for folder in (out, *out.glob("*.frames")):
+            remove_leftovers(folder, below=False)
         journal = Journal(out)
         tasks = plan(paths, out, journal, weights, style, arguments.save, arguments.overwrite)
         predictor = Predictor(model, out, journal, weights, style, arguments.batch_size)

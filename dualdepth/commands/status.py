@@ -8,7 +8,7 @@ from dualdepth.commands.reproduce import add_roots, chain_config
 def add_status(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Add the subcommand `status`."""
     parser = commands.add_parser("status", help="which steps of a profile are done, stale (and why), missing or running")
-    parser.add_argument("--profile", default="tiny", help="tiny, miniature, sample, paper, or a YAML file (default: %(default)s)")
+    parser.add_argument("--profile", default="tiny", help="tiny, miniature, sample, paper, own, or a YAML file (default: %(default)s)")
     add_roots(parser)
     parser.add_argument("--seeds", default="", metavar="0,1,2", help="as given to reproduce; what is not given is taken from its last run")
     parser.set_defaults(run=status)

@@ -6,7 +6,7 @@ import argparse
 def add_train(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Add the subcommand `train`."""
     parser = commands.add_parser("train", help="train one variant of a profile, or go on with it")
-    parser.add_argument("--profile", default="tiny", help="tiny, miniature, sample, paper, or a YAML file (default: %(default)s)")
+    parser.add_argument("--profile", default="tiny", help="tiny, miniature, sample, paper, own, or a YAML file (default: %(default)s)")
     parser.add_argument("--variant", default="lr", help="which network (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="of initialisation, order and augmentation (default: %(default)s)")
     parser.set_defaults(run=train)

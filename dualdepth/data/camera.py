@@ -71,7 +71,7 @@ def camera_of_file(path: str | Path, size: tuple[int, int]) -> Camera:
     """
     path = Path(path)
     if path.suffix.lower() != ".json":
-        return checked(Camera(_kitti_matrix(path), size, f"given in {path.name}"), str(path))
+        return checked(Camera(_kitti_matrix(path, size), size, f"given in {path.name}"), str(path))
     try:
         values = json.loads(path.read_text(encoding="utf-8"))
         values = values.get("camera", values)
@@ -83,10 +83,7 @@ def camera_of_file(path: str | Path, size: tuple[int, int]) -> Camera:
         raise InputError(f'{path}: holds no camera ({error!r}); give {{"fx": …, "fy": …, "cx": …, "cy": …}} in pixels') from None
     if len(distortion) not in (0, 4, 5, 8) or not np.isfinite(distortion).all():
         raise InputError(f"{path}: distortion has {len(distortion)} numbers; give OpenCV's k1, k2, p1, p2, k3, or none")
-    if said != size:
-        raise InputError(
-            f"{path}: is of {said[1]}×{said[0]} pixels, the frames have {size[1]}×{size[0]}; calibrate with frames of the same mode"
-        )
+    _check_size(path, said, size)
     return checked(Camera(matrix, size, f"{origin}; read from {path.name}", distortion), str(path))
 
 
@@ -179,7 +176,7 @@ class Straightener:
     def __init__(self, camera: Camera) -> None:
         matrix, size, lens = camera.matrix, camera.size[::-1], np.array(camera.distortion)
         rectified, _ = cv2.getOptimalNewCameraMatrix(matrix, lens, size, 0.0)
-        self.camera = Camera(rectified, camera.size, f"{camera.origin}; frames undistorted")
+        self.camera = checked(Camera(rectified, camera.size, f"{camera.origin}; frames undistorted"), "the camera after undistortion")
         self._maps = cv2.initUndistortRectifyMap(matrix, lens, None, rectified, size, cv2.CV_16SC2)
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
@@ -191,7 +188,14 @@ def _matrix(fx: float, fy: float, cx: float, cy: float) -> np.ndarray:
     return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
 
 
-def _kitti_matrix(path: Path) -> np.ndarray:
+def _check_size(path: Path, said: tuple[int, int], size: tuple[int, int]) -> None:
+    if said != size:
+        raise InputError(
+            f"{path}: is of {said[1]}×{said[0]} pixels, the frames have {size[1]}×{size[0]}; calibrate with frames of the same mode"
+        )
+
+
+def _kitti_matrix(path: Path, size: tuple[int, int]) -> np.ndarray:
     """From the first entry of `KEYS`, or of a file whose rows have no names from its first row."""
     lines = numbered_lines(path)
     try:
@@ -199,6 +203,9 @@ def _kitti_matrix(path: Path) -> np.ndarray:
     except ValueError:
         values = read_calibration(path)
         key = next((k for k in KEYS if k in values), KEYS[0])
+        if (said := f"S_rect{key[-3:]}") in values and key.startswith("P_rect"):
+            width, height = calibration_entry(values, said, 2, path)
+            _check_size(path, (round(height), round(width)), size)
     else:
         values, key = {"first row": bare}, "first row"
     return calibration_entry(values, key, 12, path).reshape(3, 4)[:, :3].copy()

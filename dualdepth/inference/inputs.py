@@ -4,10 +4,10 @@ import glob
 from collections.abc import Iterable
 from pathlib import Path
 
+from dualdepth.data.footage import IMAGES
 from dualdepth.errors import InputError
 from dualdepth.inference.outputs import ENDINGS
 
-IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
 VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
 
 

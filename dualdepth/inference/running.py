@@ -45,7 +45,7 @@ class Predictor:
         model: that predicts.
         out: the folder.
         journal: of the folder.
-        weights: what identifies them, their sha256.
+        weights: what identifies them, and the precision.
         style: what is said and assumed in results.
         batch_size: images computed together; None chooses.
     """

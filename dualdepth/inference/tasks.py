@@ -33,7 +33,7 @@ class Task(NamedTuple):
 
 def recipe(kind: str, weights: str, style: Style) -> str:
     """What shapes a result of a kind, beside its input."""
-    return f"weights {weights[:16]}, scale {style.scale:g}" + f", {style.camera}" * (kind == "ply")
+    return f"weights {weights}, scale {style.scale:g}" + f", {style.camera}" * (kind == "ply")
 
 
 def plan(
@@ -45,7 +45,7 @@ def plan(
         paths: of the inputs.
         out: folder of the results.
         journal: of that folder.
-        weights: what identifies them, their sha256.
+        weights: what identifies them, and the precision.
         style: of the results.
         kinds: keys of `SUFFIXES`; None takes `DEFAULT_KINDS`.
         overwrite: make again what is there.

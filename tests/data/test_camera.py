@@ -136,6 +136,14 @@ def test_kittis_calibration_files_are_read(tmp_path, named):
     assert np.allclose(camera_of_file(tmp_path / "calib.txt", SIZE).matrix, TRUE)
 
 
+def test_kittis_calibration_of_frames_of_another_size_is_refused(tmp_path):
+    path = tmp_path / "calib_cam_to_cam.txt"
+    path.write_text("S_rect_02: 1242 375\nP_rect_02: 721 0 609 0 0 721 172 0 0 0 1 0\n")
+    assert camera_of_file(path, (375, 1242)).matrix[0, 0] == 721
+    with pytest.raises(InputError, match="is of 1242×375 pixels, the frames have 640×193"):
+        camera_of_file(path, (193, 640))
+
+
 @pytest.mark.skipif(not SHARED.is_dir(), reason="real KITTI (../shared/data) is not here")
 def test_the_calibration_of_real_sequence_06_is_read():
     grey = camera_of_file(SHARED / "kitti_odometry/sequences/06/calib_p0_p1.txt", (370, 1226))

@@ -114,6 +114,7 @@ def kill(chain: subprocess.Popen[bytes], everything: bool) -> None:
         with contextlib.suppress(psutil.NoSuchProcess):
             process.kill()
     chain.wait()
+    psutil.wait_procs(below, timeout=30)
 
 
 def kill_at_random(chain: Chain, kills: int, seconds: float, rng: random.Random) -> tuple[int, int, list[str]]:

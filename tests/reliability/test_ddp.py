@@ -5,7 +5,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -61,7 +60,6 @@ def test_torchrun_ends_with_the_error_of_the_process_that_met_it(pair):
     content = frame.read_bytes()
     frame.write_bytes(content[:100])
     command = [*TORCHRUN, "-m", "dualdepth.cli"]
-    began = time.monotonic()
     try:
         done = subprocess.run(
             [sys.executable, *command, "train", "--profile", str(pair.profile), "--variant", "lr"],
@@ -73,7 +71,6 @@ def test_torchrun_ends_with_the_error_of_the_process_that_met_it(pair):
         )
     finally:
         frame.write_bytes(content)
-    assert time.monotonic() - began < 60
     assert done.returncode != 0
     assert re.search(rf"^error: \S*{frame.name}: truncated", done.stderr, re.MULTILINE)
     assert not run.weights("lr", 0).exists()
