@@ -157,7 +157,7 @@ def bench(encoder: str, repeats: int) -> pd.DataFrame:
         rows.append(("  loading a batch on one core / step", load * training.lr.batch_size / chosen["step"], "ratio"))
         rows += high_resolution_steps(profile, batch, device, max(repeats // 2, 1), bar)
     rows += inference(device, repeats, precisions)
-    rows += runtimes(repeats)
+    rows += alone(runtimes, repeats)
     return pd.DataFrame(rows, columns=["what", "value", "unit"]).assign(device=device_name())
 
 

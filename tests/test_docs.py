@@ -26,6 +26,7 @@ from doc_commands import (
 
 from dualdepth.config import Profile, load_profile
 from dualdepth.data.trajectories import write_trajectory
+from dualdepth.model import DepthModel
 from dualdepth.training import total_steps
 
 DRIVE = "2011_09_26/2011_09_26_drive_0052_sync"
@@ -35,6 +36,8 @@ DRIVE = "2011_09_26/2011_09_26_drive_0052_sync"
 EXECUTED = (
     "dualdepth evaluate depth",
     "dualdepth evaluate odometry",
+    "dualdepth export",
+    "dualdepth predict",
     "dualdepth --help",
     "python data_scripts/export_depth.py",
 )
@@ -46,6 +49,7 @@ DRY = {
     "dualdepth train": dry_program,
     "dualdepth replay": dry_program,
     "python data_scripts/prepare_data.py": dry_program,
+    "python data_scripts/own_camera.py": dry_program,  # a film that a person would make; tests/data_scripts/test_own_camera.py runs it
     "python data_scripts/download_kitti.py": dry_program,
     "python data_scripts/download_make3d.py": dry_program,
     "python data_scripts/export_labels.py": dry_program,
@@ -53,6 +57,8 @@ DRY = {
     "python -m pytest": dry_pytest,
     "torchrun": dry_torchrun,
     "srun": dry_torchrun,
+    "dualdepth notebook": dry_program,
+    "python -m venv": trust,
     "pip install": trust,
     ". .venv/bin/activate": trust,
 }
@@ -91,6 +97,8 @@ def small_world(tmp_path, monkeypatch):
     Path("poses").mkdir()
     write_trajectory("poses/09.txt", poses)
     write_trajectory("09.txt", poses)
+    cv2.imwrite("photo.jpg", rng.integers(0, 255, (120, 200, 3), np.uint8))
+    DepthModel({"network": "hr", "hr_size": [192, 288]}, device="cpu").save_pretrained("work/tiny/runs/dual/seed0")
     replace = {"/data/kitti_raw": str(day.parent)}
     return lambda words: [replace.get(word, word) for word in words]
 

@@ -82,7 +82,6 @@ def test_a_data_set_of_an_own_camera_made_anew_in_its_folder_is_prepared_anew(ch
     (tmp_path / "film").mkdir()
     (tmp_path / "film/own.json").write_text("one")
     chain(f"kitti_root={tmp_path / 'film'}", change=own)
-    assert chain(f"kitti_root={tmp_path / 'film'}") == []
     (tmp_path / "film/own.json").write_text("another")
     assert {"01_download_data", "02_prepare_data", "03_train_lr lr seed 0"} <= set(chain(f"kitti_root={tmp_path / 'film'}"))
 

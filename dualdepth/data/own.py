@@ -118,10 +118,6 @@ def profile_text(hr_size: tuple[int, int], triplets: int) -> str:
         epochs = int(np.clip(round(4 * steps / max(triplets, 1)), 1, 40))
         why = f"# {epochs * (triplets // 4)} steps of 4 from {triplets} triplets; the paper has 40 epochs"
         text = re.sub(rf"( {stage}:\n +epochs:) \d+ *#.*", rf"\1 {epochs:<18}{why}", text)
-    if hr_size == (192, 192):
-        text = text.replace(
-            "  workers: 1\n", "  workers: 1\n  precision: float32           # at this size torch's bf16 gradients of PoseNet are wrong\n"
-        )
     return text
 
 

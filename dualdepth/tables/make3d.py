@@ -74,7 +74,7 @@ def trained_row(run: Run, variant: str, seeds: Sequence[int], photos: Photos | N
     """A training's mean over photos and seeds; without numbers where the profile does not train it."""
     row = {"variant": variant, **_row(run.profile.variant(variant).label, convention, photos)}
     if variant not in run.profile.train:
-        return row | training_row(run, variant, seeds)
+        return row | training_row(run, variant, seeds, own_truth=True)
     if photos is not None:
         row |= training_row(run, variant, seeds, scores=partial(score_make3d, convention=convention), columns=METRICS, own_truth=True)
         row["note"] = _said(run, photos, f"{training_note(run, variant, seeds[0], drives=())}, not fine-tuned")

@@ -129,6 +129,10 @@ def _per_image(rows: dict[int, dict[str, float]], columns: Sequence[str]) -> pd.
 NO_DENSE_TRUTH = "not run: needs exact dense depth, which the laser does not give"
 
 
+def _no_dense_truth(run: Run) -> str:
+    return NO_DENSE_TRUTH if run.profile.data.has_truth else NO_TRUTH
+
+
 def detail_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
     """Boundaries and poles of each network against exact depth, and what its size could reach; rows say why where there is none."""
     sizes = {"lr": run.profile.data.lr_size, "dual_no_sa": run.profile.data.hr_size, "dual": run.profile.data.hr_size}
@@ -136,7 +140,7 @@ def detail_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
     for variant in sizes:
         method = run.profile.variant(variant).label
         if not run.profile.world:
-            rows.append({"method": method, "variant": variant, "source": "measured", "note": NO_DENSE_TRUTH})
+            rows.append({"method": method, "variant": variant, "source": "measured", "note": _no_dense_truth(run)})
             continue
         row = training_row(run, variant, seeds, scores=score_boundaries, columns=BOUNDARY_COLUMNS)
         poles = training_row(run, variant, seeds, scores=score_poles, columns=("abs_rel", "a1"))
@@ -155,7 +159,7 @@ def detail_claims(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
     """The networks against each other at boundaries and on poles, paired; rows say why where there is no exact depth."""
     pairs = [("dual", "lr"), ("dual_no_sa", "lr"), ("dual", "dual_no_sa")]
     if not run.profile.world:
-        rows = [{"of": "boundaries and poles", "a": a, "b": b, "metric": "", "in_words": NO_DENSE_TRUTH} for a, b in pairs]
+        rows = [{"of": "boundaries and poles", "a": a, "b": b, "metric": "", "in_words": _no_dense_truth(run)} for a, b in pairs]
         return pd.DataFrame(rows, columns=["of", *COMPARISON])
     boundaries = compare_trainings(run, pairs, seeds, metrics=("f1", "lateral_f1"), scores=score_boundaries)
     poles = compare_trainings(run, pairs, seeds, scores=score_poles)

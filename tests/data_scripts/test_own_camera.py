@@ -32,7 +32,7 @@ def run(tmp_path):
     (tmp_path / "project/notebooks").mkdir(parents=True)
     (tmp_path / "project/Snakefile").touch()
     profile = tmp_path / "own.yaml"
-    profile.write_text("about: a test\ndata: {source: own, hr_size: [192, 192]}\ntraining: {precision: float32}\n")
+    profile.write_text("about: a test\ndata: {source: own, hr_size: [192, 192]}\n")
     return Run(str(profile), tmp_path / "project")
 
 
