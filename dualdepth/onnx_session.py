@@ -38,20 +38,21 @@ class OnnxDepthNet:
 
     def __init__(self, session: Any, path: str | Path) -> None:
         self.session, self.path = session, Path(path)
-        metadata = session.get_modelmeta().custom_metadata_map
         try:
+            metadata = session.get_modelmeta().custom_metadata_map
             self.card: dict[str, Any] = json.loads(metadata["card"])
             """The weights' card: what they were learned from."""
             height, width = (int(side) for side in json.loads(metadata["hr_size"]))
             shrink = 3 if self.card["network"] == "lr" else 1
+            inputs, outputs = _ports(session.get_inputs()), _ports(session.get_outputs())
         except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
             raise InputError(f"{path}: its metadata name no network of this project ({error}); export it with `dualdepth export`") from None
         self.size = (height, width)
         """(height, width) of the images it takes; frames are resized whole to it."""
         self.output_size = (height // shrink, width // shrink)
         """(height, width) of the disparities it gives."""
-        _check(session.get_inputs(), IMAGE, (3, height, width), path)
-        _check(session.get_outputs(), DISPARITY, (1, *self.output_size), path)
+        _check(inputs, IMAGE, (3, height, width), path)
+        _check(outputs, DISPARITY, (1, *self.output_size), path)
 
     def __call__(self, images: np.ndarray) -> np.ndarray:
         """Disparities (B, 1, h, w) float32, positive, of unknown scale; depth is 1 / disparity.
@@ -101,8 +102,15 @@ def load_onnx(path: str | Path, threads: int = 0) -> OnnxDepthNet:
     return OnnxDepthNet(session, path)
 
 
-def _check(ports: list[Any], name: str, shape: tuple[int, ...], path: str | Path) -> None:
+Port = tuple[Any, ...]
+
+
+def _ports(ports: list[Any]) -> list[Port]:
+    """Name, type and shape of a graph's inputs or outputs."""
+    return [(port.name, port.type, *port.shape) for port in ports]
+
+
+def _check(found: list[Port], name: str, shape: tuple[int, ...], path: str | Path) -> None:
     """Raise an `InputError` unless the graph's one input or output has this name and, after a free batch, this shape in float32."""
-    found = [(port.name, port.type, *port.shape) for port in ports]
     if len(found) != 1 or found[0][:2] != (name, "tensor(float)") or isinstance(found[0][2], int) or found[0][3:] != shape:
         raise InputError(f"{path}: has {found} where {name} (B, {', '.join(map(str, shape))}) in float32 is expected; export it again")
