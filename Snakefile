@@ -72,7 +72,7 @@ rule all:
 
 rule quickstart:
     input:
-        f"{WORK}/runs/{'dual' if 'dual' in TRAINED else 'lr'}/seed{SEEDS[0]}/trained.json",
+        [f"{WORK}/runs/{v}/seed{SEEDS[0]}/trained.json" for v in ("lr", "dual") if v in TRAINED],
     output:
         f"{RESULTS}/notebooks/00_quickstart.ipynb",
     params:

@@ -2,6 +2,7 @@
 
 import re
 import shlex
+import shutil
 from pathlib import Path
 
 import cv2
@@ -98,7 +99,8 @@ def small_world(tmp_path, monkeypatch):
     write_trajectory("poses/09.txt", poses)
     write_trajectory("09.txt", poses)
     cv2.imwrite("photo.jpg", rng.integers(0, 255, (120, 200, 3), np.uint8))
-    DepthModel({"network": "hr", "hr_size": [192, 288]}, device="cpu").save_pretrained("work/tiny/runs/dual/seed0")
+    DepthModel({"network": "hr", "hr_size": [192, 288]}, device="cpu").save_pretrained("work/tiny/runs/lr/seed0")
+    shutil.copytree("work/tiny/runs/lr", "work/tiny/runs/dual")
     replace = {"/data/kitti_raw": str(day.parent)}
     return lambda words: [replace.get(word, word) for word in words]
 
