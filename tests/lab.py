@@ -42,7 +42,7 @@ def lab(folder: Path):
                 break
             except OSError:
                 time.sleep(0.1)
-        yield lambda name: f"{address}/lab/tree/{name}?token={token}"
+        yield lambda name: f"{address}/lab/tree/{name}?reset&token={token}"  # no other page comes back with it
     finally:
         server.terminate()
         server.wait(30)
@@ -65,14 +65,21 @@ def wait_for(window: Browser, condition: str, seconds: float):
 def run_all(window: Browser, address: str, seconds: float = 600) -> list[dict]:
     """Open a notebook, clear its outputs, run all its cells; returns the cells as they are then."""
     window.open(address, 1400, 900)
+    name = address.partition("?")[0].rpartition("/")[2]
     wait_for(window, f"!!({PANEL} && {PANEL}.model && {PANEL}.model.cells.length > 1)", 120)
-    wait_for(window, "!!jupyterapp.shell.currentWidget.sessionContext.session?.kernel", 120)
+    wait_for(window, f"jupyterapp.shell.currentWidget.context.path == '{name}'", 120)
+    wait_for(window, "jupyterapp.shell.currentWidget.sessionContext.session?.kernel?.status == 'idle'", 120)
     window.run("jupyterapp.commands.execute('notebook:clear-all-cell-outputs')")
     window.run(
         "window.ended = ''; jupyterapp.commands.execute('notebook:run-all-cells').then(() => ended = 'done', e => ended = String(e))"
     )
     wait_for(window, "window.ended", seconds)
-    return json.loads(window.run(f"return JSON.stringify({PANEL}.model.toJSON().cells)"))
+    cells = json.loads(window.run(f"return JSON.stringify({PANEL}.model.toJSON().cells)"))
+    # a page with changes would ask whether to leave it
+    window.run("window.ended = ''; jupyterapp.commands.execute('docmanager:save').then(() => ended = 'saved')")
+    wait_for(window, "window.ended", 60)
+    window.run("jupyterapp.shell.currentWidget.sessionContext.shutdown()")
+    return cells
 
 
 def faults(cells: list[dict]) -> list[str]:
