@@ -108,13 +108,20 @@ class Chain:
 
 def kill(chain: subprocess.Popen[bytes], everything: bool) -> None:
     """SIGKILL to a chain's group, or to everything below it, and wait until it is gone."""
-    below = psutil.Process(chain.pid).children(recursive=True) if everything else []
+    below = psutil.Process(chain.pid).children(recursive=True)
+    group = [process for process in below if everything or _group(process) == chain.pid]
     os.killpg(chain.pid, signal.SIGKILL)
-    for process in below:
+    for process in group:
         with contextlib.suppress(psutil.NoSuchProcess):
             process.kill()
     chain.wait()
-    psutil.wait_procs(below, timeout=30)
+    psutil.wait_procs(group, timeout=30)  # Snakemake holds the lock until it is gone
+
+
+def _group(process: psutil.Process) -> int | None:
+    with contextlib.suppress(ProcessLookupError):
+        return os.getpgid(process.pid)
+    return None
 
 
 def kill_at_random(chain: Chain, kills: int, seconds: float, rng: random.Random) -> tuple[int, int, list[str]]:
