@@ -96,7 +96,10 @@ TEXTS = {
     ),
     "own camera's record": (OWN, lambda f: read_record((f / "damaged").rename(f / "own.json").parent)),
     "own camera's intrinsics": (OWN, lambda f: camera_of_file((f / "damaged").rename(f / "own.json"), (216, 256))),
-    "own camera's KITTI calibration": (CAMERAS, lambda f: camera_of_file((f / "damaged").rename(f / "calib.txt"), (216, 256))),
+    "own camera's KITTI calibration": (
+        CAMERAS.replace(b"S_rect_02: 8 6", b"S_rect_02: 256 216"),
+        lambda f: camera_of_file((f / "damaged").rename(f / "calib.txt"), (216, 256)),
+    ),
     "card as text": (b'{"network": "lr", "drives": ["a"], "sha256": "0"}', lambda f: load_card((f / "damaged").rename(f / "w.json"))),
 }
 
