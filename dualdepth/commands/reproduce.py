@@ -55,7 +55,7 @@ def reproduce(arguments: argparse.Namespace) -> int:
     import shutil
     import sys
 
-    from dualdepth.atomic import write_json
+    from dualdepth.atomic import remove_leftovers, write_json
     from dualdepth.errors import InputError
     from dualdepth.lock import locked
     from dualdepth.results import Run
@@ -68,6 +68,8 @@ def reproduce(arguments: argparse.Namespace) -> int:
     if shutil.which("nvidia-smi"):
         command += ["--resources", "gpu=1"]  # one training at a time has the GPU to itself
     with locked(run.work / "lock") as lock:
+        for folder in (run.results, run.prepared):  # a training looks after its own
+            remove_leftovers(folder)
         write_json(run.given, {name: config[name] for name in (*ROOTS, "allow_leak")} | {"seeds": arguments.seeds})
         code = run_chain([*command, *arguments.snakemake, "--config", *settings], run.root, lock)
     if code:
