@@ -23,6 +23,7 @@ from dualdepth.stages import LRStage
 from dualdepth.training import train
 from dualdepth.training_log import read_log
 
+BF16 = pytest.param("bf16", marks=pytest.mark.skipif(not has_bf16(torch.device("cpu")), reason="this CPU only imitates bf16"))
 STEPS = 6
 WIDE = (192, 288)
 """For bfloat16: at 192×192 PoseNet's last map is 1×1, where the CPU leaves the gradient of padded weights unset."""
@@ -130,9 +131,6 @@ def test_it_learns_one_triplet(run, profile_of, triplets, tmp_path):
 
 
 @pytest.mark.slow
-BF16 = pytest.param("bf16", marks=pytest.mark.skipif(not has_bf16(torch.device("cpu")), reason="this CPU only imitates bf16"))
-
-
 @pytest.mark.parametrize("precision", ["float32", BF16])
 def test_two_runs_with_one_seed_are_equal_to_the_bit_and_another_seed_is_not(run, profile_of, tmp_path, precision):
     def profile(workers):
