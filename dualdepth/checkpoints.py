@@ -169,9 +169,9 @@ def save_weights(path: str | Path, model: nn.Module, card: dict[str, Any], card_
     try:
         with atomic_path(path) as partial:
             save_file(tensors, partial)
-            write_json(
-                path.with_name(card_name or f"{path.stem}.json"), card | {"sha256": hashlib.sha256(partial.read_bytes()).hexdigest()}
-            )
+            beside = path.with_name(card_name or f"{path.stem}.json")
+            write_json(beside, card | {"sha256": hashlib.sha256(partial.read_bytes()).hexdigest()})
+            partial.chmod(beside.stat().st_mode)  # safetensors keeps its files from all others
     except (OSError, SafetensorError) as error:
         raise InputError(f"{path}: could not be written ({error}); free space, then the same command goes on from the checkpoint") from None
 

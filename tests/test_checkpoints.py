@@ -254,3 +254,8 @@ def test_weights_of_a_save_that_was_killed_between_card_and_weights_are_not_take
     card = path.with_suffix(".json")
     card.write_text(card.read_text().replace("old", "new").replace('"sha256": "', '"sha256": "0'))
     assert finished_card(path) is None
+
+
+def test_weights_may_be_read_by_whom_their_card_may(tmp_path):
+    save_weights(tmp_path / "model.safetensors", Net(), {})
+    assert (tmp_path / "model.safetensors").stat().st_mode == (tmp_path / "model.json").stat().st_mode

@@ -9,7 +9,8 @@ def add_export(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         "export",
         help="write a trained depth network as an ONNX file",
         description="Write a trained depth network as one ONNX file: image (B, 3, H, W), RGB, float32 in [0, 1] -> disparity (B, 1, h, w)"
-        " of unknown scale; B is free. It is compared with PyTorch in ONNX Runtime, and kept only if they agree to a thousandth.",
+        " of unknown scale; B is free. `dualdepth predict` gives depth = 16 / disparity."
+        " It is compared with PyTorch in ONNX Runtime, and kept only if they agree to a thousandth.",
     )
     parser.add_argument("--to", required=True, choices=("onnx",), help="format of the file")
     parser.add_argument("--weights", required=True, metavar="W.safetensors", help="of a training; their card (.json) lies beside them")
