@@ -25,7 +25,7 @@ def run_notebook(name: str, out: str | Path, parameters: dict[str, Any]) -> Path
     A failing notebook leaves its copy, up to the failing cell, as `<out>.failed.ipynb`.
 
     Raises:
-        InputError: no such notebook, a parameter that it does not have, or an `InputError` inside it.
+        InputError: no such notebook, a parameter that it does not have, or an `InputError` inside it; or its kernel died.
         SystemExit: it was told to stop by SIGTERM, which the kernel gets, too: a training writes a checkpoint first.
         RuntimeError: any other error inside it.
     """
@@ -69,7 +69,7 @@ def run_notebook(name: str, out: str | Path, parameters: dict[str, Any]) -> Path
         except DeadKernelError:
             if stop.noted:  # where no training was at work, the kernel just ends
                 raise SystemExit(f"{source.name} was stopped; run the same command to go on") from None
-            raise RuntimeError(f"{source.name}: its kernel died, such as for want of memory; run the same command to go on") from None
+            raise InputError(f"{source.name}: its kernel died, such as for want of memory; run the same command to go on") from None
         notebook = nbformat.read(partial, as_version=4)
         _collapse_progress(notebook)
         nbformat.write(notebook, partial)

@@ -1,5 +1,7 @@
 """Running a notebook: checked parameters, an executed copy that is whole or absent."""
 
+import signal
+
 import nbformat
 import pytest
 
@@ -74,6 +76,25 @@ def test_a_users_mistake_inside_a_notebook_is_one_line_outside(project, capsys):
     assert stopped.value.code == 2
     assert capsys.readouterr().err.strip().splitlines()[-1] == "error: KITTI_ROOT nowhere is not a folder"
     assert not (project / "results/00_sum.ipynb").exists()
+
+
+@pytest.mark.slow
+def test_a_kernel_that_dies_is_one_line(project):
+    write_notebook(project / "notebooks/00_sum.ipynb", "import os; os.kill(os.getpid(), 9)")
+    with pytest.raises(InputError, match=r"^00_sum\.ipynb: its kernel died, such as for want of memory; run the same command to go on$"):
+        run_notebook("00_sum", "results/00_sum.ipynb", {})
+    assert not list((project / "results").glob("*"))
+
+
+@pytest.mark.slow
+def test_sigterm_where_no_training_is_at_work_ends_the_kernel_and_is_one_line(project):
+    cell = "import os, signal, time; os.kill(os.getppid(), signal.SIGTERM); time.sleep(60)"
+    write_notebook(project / "notebooks/00_sum.ipynb", cell)
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(SystemExit, match=r"^00_sum\.ipynb was stopped; run the same command to go on$"):
+        run_notebook("00_sum", "results/00_sum.ipynb", {})
+    assert signal.getsignal(signal.SIGTERM) is before
+    assert not list((project / "results").glob("*"))
 
 
 def test_an_unknown_parameter_is_an_error_that_names_those_there_are(project):

@@ -124,7 +124,7 @@ def _group(process: psutil.Process) -> int | None:
     return None
 
 
-def kill_at_random(chain: Chain, kills: int, seconds: float, rng: random.Random) -> tuple[int, int, list[str]]:
+def kill_at_random(chain: Chain, kills: int, each: int, seconds: float, rng: random.Random) -> tuple[int, int, list[str]]:
     """Start a chain, kill it, start it again … and at last let it end.
 
     Returns:
@@ -132,7 +132,7 @@ def kill_at_random(chain: Chain, kills: int, seconds: float, rng: random.Random)
     """
     done, orphaning, wrong = 0, 0, []
     while done < kills:
-        running, moment = chain.start(), time.monotonic() + rng.uniform(0.02, min(0.8, 2 / kills)) * seconds  # spread over the chain
+        running, moment = chain.start(), time.monotonic() + rng.uniform(0.02, min(0.8, 2 / each)) * seconds  # spread over the chain
         while running.poll() is None and time.monotonic() < moment:
             time.sleep(0.01)
         if running.poll() is not None:
@@ -163,7 +163,8 @@ def try_kills(chain: Chain, kills: int, each: int, seed: int = 0) -> list[Tally]
     expected, seconds = chain.outcome(), time.monotonic() - began
     while sum(tally.kills for tally in tallies) < kills:
         chain.clear()
-        done, orphaning, wrong = kill_at_random(chain, min(each, kills - sum(tally.kills for tally in tallies)), seconds, rng)
+        left = kills - sum(tally.kills for tally in tallies)
+        done, orphaning, wrong = kill_at_random(chain, min(each, left), each, seconds, rng)
         found = chain.outcome()
         wrong += [f"{name} differs" for name in sorted(expected.keys() | found.keys()) if expected.get(name) != found.get(name)]
         same = sum(same_bytes(content, found.get(name, b"")) for name, content in expected.items())
