@@ -7,10 +7,10 @@ from collections.abc import Container, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 
 from dualdepth.data.kitti import read_image
+from dualdepth.data.video import Video
 from dualdepth.errors import InputError
 
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
@@ -31,7 +31,7 @@ class Footage:
     """A folder of images, ordered by the last number in their names, or a video; can be gone through more than once.
 
     Raises:
-        InputError: there is no such file or folder, it holds no images, or it is no video that can be opened.
+        InputError: there is no such file or folder, it holds no images, or it is no video that can be read.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -41,25 +41,22 @@ class Footage:
             self.length = len(self.files)
         else:
             video = self._open()
-            self.length = max(int(video.get(cv2.CAP_PROP_FRAME_COUNT)), 0)
+            self.length = video.announced or 0
             """Frames; of a video as its header says, which may be wrong."""
-            video.release()
+            video.close()
 
-    def _open(self) -> cv2.VideoCapture:
+    def _open(self) -> Video:
         if not self.path.is_file():
             raise InputError(f"{self.path}: there is no such file or folder; give a video, or a folder of frames")
         if self.path.suffix.lower() in IMAGES:
             raise InputError(f"{self.path}: is a single image; give the folder of frames, or a video")
-        video = cv2.VideoCapture(str(self.path))
-        if not video.isOpened():
-            raise InputError(f"{self.path}: is no video that OpenCV can read; convert it: ffmpeg -i {self.path.name} -crf 17 video.mp4")
-        return video
+        return Video(self.path)
 
     def stills(self, wanted: Container[int] | None = None) -> Iterator[Still]:
         """The frames in order, or those whose numbers are wanted.
 
         Raises:
-            InputError: a frame cannot be read, or is of another size than the first.
+            InputError: a frame cannot be read, or is of another size than the first; a video ends before its announced end.
         """
         first: tuple[int, ...] = ()
         for still in self._images(wanted) if self.files is not None else self._of_video(wanted):
@@ -77,19 +74,13 @@ class Footage:
                 yield Still(number, read_image(file), file)
 
     def _of_video(self, wanted: Container[int] | None) -> Iterator[Still]:
-        video, number = self._open(), 0
-        try:
-            while video.grab():
-                if wanted is None or number in wanted:
-                    there, image = video.retrieve()
-                    if not there:
-                        raise InputError(f"{self.path}: frame {number} cannot be decoded; cut the video before it, or copy it again")
-                    yield Still(number, cv2.cvtColor(image, cv2.COLOR_BGR2RGB), None)
-                number += 1
-        finally:
-            video.release()
-        if not number:
-            raise InputError(f"{self.path}: holds no frame that can be decoded; copy it again, or convert it with ffmpeg")
+        video = self._open()
+        for number, image in video.frames(wanted):
+            yield Still(number, image, None)
+        if video.missing:
+            raise InputError(
+                f"{self.path}: {video.missing}; copy it again, or keep what is there: ffmpeg -i {self.path.name} -crf 17 video.mp4"
+            )
 
     def digest(self) -> str:
         """sha256 of the names and bytes of all it is read from."""

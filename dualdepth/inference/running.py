@@ -8,18 +8,20 @@ from itertools import groupby, islice
 from pathlib import Path
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 import torch
 from tqdm import tqdm
 
 from dualdepth.data.kitti import read_image
+from dualdepth.data.video import Video
 from dualdepth.errors import InputError
 from dualdepth.inference.ahead import ahead
 from dualdepth.inference.journal import Journal, identity
 from dualdepth.inference.outputs import Style, save
 from dualdepth.inference.pictures import Range, side_by_side
 from dualdepth.inference.tasks import Task, recipe
-from dualdepth.inference.videos import Video, Writer, video_writer
+from dualdepth.inference.videos import Writer, video_writer
 from dualdepth.model import DepthModel
 
 GPU_BATCH = 16
@@ -110,7 +112,7 @@ class Predictor:
                 count = self._frames(task, video, singles, writer, pool, most)
         else:
             count = self._frames(task, video, singles, None, pool, most)
-        trouble = video.missing(count)
+        trouble = f"{video.missing}, and its results hold those" if video.missing else None
         self._note(task, was, task.kinds, frames=count, **({"trouble": trouble} if trouble else {}))
         if trouble:
             self.tell(f"{task.path}: {trouble}")
@@ -134,7 +136,7 @@ class Predictor:
 
         count = 0
         with _bar(video.announced, task.path.name, "frame") as bar:
-            frames = (Item(task, {}, np.ascontiguousarray(frame)) for frame in video.frames())
+            frames = (Item(task, {}, _of_size(frame, video.size)) for _, frame in video.frames())
             for frame in ahead(pool, drawn, coloured(self._predicted(frames)), most):
                 if writer:
                     writer.write(frame)
@@ -174,6 +176,10 @@ def _read(task: Task) -> Item:
         return Item(task, was, read_image(task.path))
     except InputError as error:
         return Item(task, was, trouble=str(error))
+
+
+def _of_size(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    return image if image.shape[:2] == size else cv2.resize(image, size[::-1])
 
 
 def _bar(total: int | None, what: str, unit: str) -> tqdm:

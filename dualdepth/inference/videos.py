@@ -1,8 +1,6 @@
-"""Videos, one frame at a time, through OpenCV's FFmpeg."""
+"""Videos, written one frame at a time through OpenCV's FFmpeg."""
 
 import contextlib
-import math
-import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,56 +8,11 @@ import cv2
 import numpy as np
 
 from dualdepth.atomic import atomic_path
-from dualdepth.errors import InputError
 
-os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # else FFmpeg tells of a damaged file in its own words as well
 CODEC = "mp4v"
 """MPEG-4 in MP4, which every OpenCV wheel writes."""
 WIDEST = 3840
 """Pixels; wider side-by-side frames are shrunk, since players refuse them."""
-DEFAULT_RATE = 25.0
-"""Frames a second where the file does not say."""
-
-
-class Video:
-    """A video that is read once from its beginning; frames are turned as the file says, (H, W, 3) uint8 RGB.
-
-    Raises:
-        InputError: it cannot be opened or has no frames.
-    """
-
-    def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
-        level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)  # a file that cannot be opened is this class's to tell
-        self._capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
-        cv2.utils.logging.setLogLevel(level)
-        count, rate = self._capture.get(cv2.CAP_PROP_FRAME_COUNT), self._capture.get(cv2.CAP_PROP_FPS)
-        self.announced = int(count) if 0 < count < 1e9 else None
-        """Frames that the file says it has; None where it does not say."""
-        self.rate = rate if math.isfinite(rate) and 0 < rate <= 1000 else DEFAULT_RATE
-        """Frames a second."""
-        read, self._first = self._capture.read()
-        if not read:
-            self._capture.release()
-            raise InputError(f"{path}: no video that can be decoded, or one without frames; copy or download it again")
-
-    def frames(self) -> Iterator[np.ndarray]:
-        """All frames that can be read; all have the first one's size."""
-        frame, size = self._first, self._first.shape[1::-1]
-        try:
-            while True:
-                yield frame[..., ::-1] if frame.shape[1::-1] == size else cv2.resize(frame, size)[..., ::-1]
-                read, frame = self._capture.read()
-                if not read:
-                    return
-        finally:
-            self._capture.release()
-
-    def missing(self, read: int) -> str | None:
-        """A word on a video that ended early; None where the `read` frames are all, or nearly so since some formats only estimate."""
-        if self.announced and read < self.announced - max(2, self.announced // 50):
-            return f"ends early: {read} of {self.announced} announced frames could be read, and its results hold those"
-        return None
 
 
 class Writer:

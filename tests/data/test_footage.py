@@ -1,5 +1,6 @@
 """Frames come in their order in time, from a folder or a video, and what is missing is noticed."""
 
+import cv2
 import numpy as np
 import pytest
 from own_film import frame, write_frames, write_video
@@ -49,6 +50,18 @@ def test_a_video_gives_the_frames_that_were_written(tmp_path):
     assert [s.number for s in footage.stills({1, 4})] == [1, 4]
 
 
+def test_a_video_that_ends_early_is_refused_when_its_end_is_reached(tmp_path):
+    file = cv2.VideoWriter(str(tmp_path / "v.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 10, (256, 216))
+    for k in range(12):
+        file.write(frame(k)[..., ::-1])
+    file.release()
+    content = (tmp_path / "v.avi").read_bytes()
+    (tmp_path / "cut.avi").write_bytes(content[: len(content) // 2])
+    with pytest.raises(InputError, match=r"cut\.avi: ends early: \d of 12 announced frames could be read; copy it again, or keep"):
+        list(Footage(tmp_path / "cut.avi").stills())
+    assert numbers(Footage(tmp_path / "v.avi")) == list(range(12))
+
+
 def test_the_digest_follows_the_bytes(tmp_path):
     folder = write_frames(tmp_path / "f", [frame(0), frame(1)])
     before = Footage(folder).digest()
@@ -68,7 +81,11 @@ def test_a_frame_of_another_size_is_named_with_both_sizes(tmp_path):
     [
         ("nothing", None, "there is no such file or folder"),
         ("empty", "folder", "holds no images"),
-        ("text.mp4", b"no video at all", "no video that OpenCV can read; convert it: ffmpeg"),
+        (
+            "text.mp4",
+            b"no video at all",
+            "no video that can be decoded, or one without frames; copy it again, or convert it: ffmpeg -i text.mp4 ",
+        ),
         ("photo.png", b"", "is a single image"),
     ],
 )
