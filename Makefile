@@ -11,7 +11,7 @@ export OMP_WAIT_POLICY := PASSIVE
 STAMP := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help env reproduce status test soak lab lint lock bench publish notebooks clean
+.PHONY: help env reproduce status test soak lab lint browser lock bench publish notebooks clean
 
 help: ## what can be made
 	@echo "make reproduce [PROFILE=tiny] [KITTI_ROOT=dir] [ODOMETRY_ROOT=dir] [MAKE3D_ROOT=dir] [LABELS_ROOT=dir] [TEST_LIST=file]"
@@ -54,6 +54,9 @@ lab: env ## JupyterLab on this machine's own address
 
 bench: env ## speed of loader, training step, inference
 	python -m dualdepth.bench
+
+browser: ## install Debian's Chromium, for the tests that look at pages
+	@sudo=$$(test $$(id -u) = 0 || echo sudo); $$sudo apt-get update -qq && $$sudo apt-get install -y -qq --no-install-recommends chromium chromium-driver
 
 lock: ## make environment.lock from pyproject.toml
 	rm -rf work/lock && $(PYTHON) -m venv work/lock

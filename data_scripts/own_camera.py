@@ -72,7 +72,8 @@ def make(
     file = Path(intrinsics) if intrinsics and not _numbers(intrinsics) else None
     if sum(map(bool, (intrinsics, chessboard, fov))) != 1:
         raise InputError(
-            "the camera: give one of --intrinsics fx,fy,cx,cy (or a calibration file), --chessboard FOLDER --squares 9x6, or --fov DEGREES"
+            "the camera: give one of --intrinsics fx,fy,cx,cy (or a calibration file), --chessboard FOLDER_OR_VIDEO --squares 9x6, or"
+            " --fov DEGREES, and only one"
         )
     if squares and not chessboard:
         raise InputError(f"--squares {squares}: is of a chessboard; give --chessboard FOLDER or a video, too")
@@ -98,7 +99,7 @@ def make(
                 out.rmdir()
             partial.rename(out)
         except OSError as error:
-            raise InputError(f"{out}: could not be written ({error.strerror or error}); free space, or give another --out") from None
+            raise InputError(f"{out}: could not be written ({error}); free space, or give another --out") from None
         finally:
             shutil.rmtree(partial, ignore_errors=True)
     return Made(out, out / f"{name}.yaml", own.read_record(out) or {}, kept=False)

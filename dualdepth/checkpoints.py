@@ -105,6 +105,7 @@ def load_checkpoint(path: str | Path) -> dict[str, Any]:
     Raises:
         InputError: see `read_state`.
     """
+    # one that has no precision is from before that was kept, and so of another recipe, which is not resumed
     return {"precision": "float32"} | read_state(path, KEYS, "a checkpoint", "delete it to train from the start")
 
 

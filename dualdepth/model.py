@@ -153,6 +153,8 @@ class DepthModel(ModelHubMixin):
         Raises:
             InputError: it is not there, cannot be had, or is not of this project.
         """
+        if Path(name).is_absolute() and not Path(name).is_dir():
+            raise InputError(f"{name}: no such folder; give one with {WEIGHTS} and its card in it, or a name on the model hub")
         if Path(name).is_dir():
             hub = ("revision", "cache_dir", "token", "local_files_only", "force_download")
             return cls._of_file(Path(name) / WEIGHTS, **{key: value for key, value in options.items() if key not in hub})
@@ -212,7 +214,7 @@ def load(weights: str | Path, device: str | torch.device | None = None, precisio
     path = Path(weights)
     if path.is_file():
         return DepthModel._of_file(path, device, precision)
-    if (path.suffix == ".safetensors" or path.is_absolute()) and not path.is_dir():
+    if path.suffix == ".safetensors" and not path.is_dir():
         raise InputError(f"{path}: no such weights; give model.safetensors of a training, its folder, or a name on the model hub")
     return DepthModel.from_pretrained(weights, device=device, precision=precision)
 

@@ -19,6 +19,7 @@ from dualdepth.checkpoints import load_card
 from dualdepth.data.augmentation import resize
 from dualdepth.data.kitti import read_image
 from dualdepth.errors import InputError
+from dualdepth.model import UNIT
 from dualdepth.onnx_session import DISPARITY, IMAGE, OnnxDepthNet, load_onnx, require_packages
 from dualdepth.predict import DepthNet, load_depth_net
 
@@ -137,7 +138,7 @@ def metadata(card: dict[str, Any], depth_net: DepthNet) -> dict[str, str]:
     return {
         "about": str(card.get("about", f"depth network {depth_net.architecture.network}")),
         IMAGE: f"RGB, float32 in [0, 1], (batch, 3, {height}, {width}); frames are resized whole to this size",
-        DISPARITY: "1 / depth, float32, positive",
+        DISPARITY: f"1 / depth, float32, positive; `dualdepth predict` gives {UNIT:g} / disparity",
         "scale": "relative: learned from video alone, depths are right up to an unknown factor and no metres",
         "hr_size": json.dumps([height, width]),
         "card": json.dumps(card, ensure_ascii=False),

@@ -8,7 +8,7 @@ Precision = Literal["float32", "bf16"]
 
 
 def has_bf16(device: torch.device) -> bool:
-    """Whether a device computes in bfloat16 by itself. A CPU without such instructions imitates them, and takes ten times as long."""
+    """Whether a device computes in bfloat16 by itself. A CPU without such instructions imitates them, and takes nine times as long."""
     if device.type == "cuda":
         return torch.cuda.is_bf16_supported(including_emulation=False)
     if device.type == "cpu":

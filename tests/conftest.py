@@ -7,7 +7,14 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before torch: spinning th
 
 import numpy as np
 import pytest
+from small_encoder import save_encoder
 from small_kitti import write_calibration, write_drive
+
+
+@pytest.fixture(scope="session")
+def encoder(tmp_path_factory):
+    """A small ResNet, as folder for `encoder`."""
+    return save_encoder(tmp_path_factory.mktemp("encoder"))
 
 
 @pytest.fixture

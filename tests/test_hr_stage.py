@@ -53,16 +53,12 @@ def batch():
 
 
 @pytest.fixture(scope="module")
-def dual_of(tmp_path_factory):
+def dual_of(encoder):
     """A small dual network in training mode."""
-    from transformers import ResNetConfig
-
-    path = tmp_path_factory.mktemp("encoder")
-    ResNetConfig(hidden_sizes=[16, 32, 48, 64], depths=[1, 1, 1, 1], embedding_size=16, layer_type="basic").save_pretrained(path)
 
     def make(link):
         torch.manual_seed(0)
-        return DualNet(LRNet(str(path)), link).train()
+        return DualNet(LRNet(encoder), link).train()
 
     return make
 

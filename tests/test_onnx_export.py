@@ -37,16 +37,6 @@ GRAPHS = {
 
 
 @pytest.fixture(scope="module")
-def encoder(tmp_path_factory):
-    """A ResNet of some ten thousand weights, as folder for `encoder`."""
-    from transformers import ResNetConfig
-
-    path = tmp_path_factory.mktemp("encoder")
-    ResNetConfig(hidden_sizes=[16, 32, 48, 64], depths=[1, 1, 1, 1], embedding_size=16, layer_type="basic").save_pretrained(path)
-    return str(path)
-
-
-@pytest.fixture(scope="module")
 def frames(tmp_path_factory):
     """Three frames of the synthetic world."""
     folder = tmp_path_factory.mktemp("world")

@@ -34,16 +34,6 @@ class Seen(nn.Module):
 
 
 @pytest.fixture(scope="module")
-def encoder(tmp_path_factory):
-    """A ResNet of some ten thousand weights, as folder for `encoder`."""
-    from transformers import ResNetConfig
-
-    path = tmp_path_factory.mktemp("encoder")
-    ResNetConfig(hidden_sizes=[16, 32, 48, 64], depths=[1, 1, 1, 1], embedding_size=16, layer_type="basic").save_pretrained(path)
-    return str(path)
-
-
-@pytest.fixture(scope="module")
 def files(tmp_path_factory):
     folder = tmp_path_factory.mktemp("images")
     paths = [folder / f"{i}.png" for i in range(3)]

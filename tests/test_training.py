@@ -37,17 +37,6 @@ def quiet_torch():
     torch.use_deterministic_algorithms(False)
 
 
-@pytest.fixture(scope="session")
-def encoder(tmp_path_factory):
-    """A ResNet of a few thousand weights, as folder for `encoder`."""
-    from transformers import ResNetConfig
-
-    path = tmp_path_factory.mktemp("encoder")
-    # at least 16 channels: the CPU's backward of a narrower 1×1 convolution of stride 2 in channels-last order crashes
-    ResNetConfig(hidden_sizes=[16, 24, 32, 48], depths=[1, 1, 1, 1], embedding_size=16, layer_type="basic").save_pretrained(path)
-    return str(path)
-
-
 @pytest.fixture
 def profile_of(encoder, tmp_path):
     """A profile for tiny trainings, with changes like `training={"workers": 1}` or `stage={"epochs": 3}`."""

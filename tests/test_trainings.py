@@ -10,6 +10,7 @@ import pytest
 import torch
 from accelerate.state import AcceleratorState
 from safetensors.torch import load_file
+from small_encoder import save_encoder
 from small_kitti import DRIVE, write_calibration, write_drive, write_sequence
 
 from dualdepth import trainings
@@ -44,14 +45,7 @@ def quiet_torch():
 @pytest.fixture(scope="module")
 def backbones(tmp_path_factory):
     """Folders of two small ResNets."""
-    from transformers import ResNetConfig
-
-    def folder(name, width):
-        path = tmp_path_factory.mktemp(name)
-        ResNetConfig(hidden_sizes=[16, 32, 48, width], depths=[1, 1, 1, 1], embedding_size=16, layer_type="basic").save_pretrained(path)
-        return str(path)
-
-    return SimpleNamespace(usual=folder("usual", 64), other=folder("other", 80))
+    return SimpleNamespace(usual=save_encoder(tmp_path_factory.mktemp("usual")), other=save_encoder(tmp_path_factory.mktemp("other"), 80))
 
 
 @pytest.fixture(scope="module")

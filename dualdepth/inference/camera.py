@@ -8,7 +8,7 @@ import numpy as np
 from dualdepth.errors import InputError
 
 KITTI_FIELD_OF_VIEW = 2 * math.degrees(math.atan(1242 / 2 / 721.5377))
-"""Degrees, horizontal, of KITTI's colour cameras (81.4); the default, since the published weights learned from such images."""
+"""Degrees, horizontal, of KITTI's colour cameras (81.4); the default, since profiles `sample` and `paper` learn from such images."""
 
 
 class Camera(NamedTuple):

@@ -29,6 +29,7 @@ from dualdepth.checkpoints import finished_card, load_checkpoint
 from dualdepth.lock import holder
 from dualdepth.results import project_root
 from tests.reliability.counting import same_bytes, write_count
+from tests.small_encoder import save_encoder
 
 PROFILE = {
     "about": "a chain to be killed",
@@ -174,15 +175,11 @@ def try_kills(chain: Chain, kills: int, each: int, seed: int = 0) -> list[Tally]
 
 def make_chain(root: Path) -> Chain:
     """The real chain of a small profile: all notebooks, both stages of a small network."""
-    from transformers import ResNetConfig
-
     for name in ("Snakefile", "environment.lock"):
         shutil.copyfile(project_root() / name, root / name)
     shutil.copytree(project_root() / "notebooks", root / "notebooks")
-    small = ResNetConfig(hidden_sizes=[16, 32, 48, 64], depths=[1, 1, 1, 1], embedding_size=16, layer_type="basic")
-    small.save_pretrained(root / "encoder")
-    profile = root / "killed.yaml"
-    profile.write_text(json.dumps(PROFILE | {"training": PROFILE["training"] | {"encoder": str(root / "encoder")}}))  # JSON is YAML
+    profile, encoder = root / "killed.yaml", save_encoder(root / "encoder")
+    profile.write_text(json.dumps(PROFILE | {"training": PROFILE["training"] | {"encoder": encoder}}))  # JSON is YAML
     return Chain(root, profile, lambda: outcome(root), lambda: broken(root))
 
 

@@ -8,6 +8,7 @@ the child of a process that has.
 """
 
 import argparse
+import contextlib
 import json
 import multiprocessing
 import os
@@ -21,6 +22,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pandas as pd
+import psutil
 import torch
 
 from dualdepth.checkpoints import checkpoint_paths
@@ -31,6 +33,7 @@ from dualdepth.results import Run
 from dualdepth.training_log import read_log
 from dualdepth.trainings import train_variant
 from tests.reliability.counting import same_bytes, write_count
+from tests.small_encoder import save_encoder
 from tests.small_kitti import DRIVE, write_calibration, write_drive
 
 FRAMES = 10
@@ -51,12 +54,8 @@ class Tally(NamedTuple):
 
 def make_checkout(root: Path, **training: object) -> Path:
     """A folder that looks like a checkout, with prepared frames and a profile of two small trainings; returns the profile."""
-    from transformers import ResNetConfig
-
-    small = ResNetConfig(hidden_sizes=[16, 32, 48, 64], depths=[1, 1, 1, 1], embedding_size=16, layer_type="basic")
-    small.save_pretrained(root / "encoder")
     # loader workers, two half-batches a step, a checkpoint after each step
-    usual = {"encoder": str(root / "encoder"), "pretrained": False, "workers": 1, "precision": "float32", "accumulate": 2}
+    usual = {"encoder": save_encoder(root / "encoder"), "pretrained": False, "workers": 1, "precision": "float32", "accumulate": 2}
     stages = {"lr": {"batch_size": 2, "epochs": 2}, "hr": {"batch_size": 2, "epochs": 2}}
     values = {
         "about": "killed and started again",
@@ -125,6 +124,21 @@ def newest_step(folder: Path) -> int:
     return max((int(path.stem[-8:]) for path in checkpoint_paths(folder)), default=0)
 
 
+def caught_writing(process: BaseProcess, folder: Path) -> bool:
+    """Whether a training is in the middle of writing a file; if so, it is held there, to be killed."""
+    if not any(folder.glob(".*.part*")):
+        return False
+    with contextlib.suppress(psutil.NoSuchProcess, ProcessLookupError):  # it may have ended by now
+        os.killpg(process.pid, signal.SIGSTOP)
+        trained = psutil.Process(process.pid)
+        while trained.status() not in (psutil.STATUS_STOPPED, psutil.STATUS_ZOMBIE):
+            time.sleep(0.0005)
+        if any(folder.glob(".*.part*")):
+            return True
+        os.killpg(process.pid, signal.SIGCONT)  # the file was renamed meanwhile
+    return False
+
+
 def kill_at_random(run: Run, variant: str, seed: int, kills: int, seconds: float, rng: random.Random) -> tuple[int, int]:
     """Start a training, kill it, start it again … and at last let it end.
 
@@ -148,7 +162,7 @@ def kill_at_random(run: Run, variant: str, seed: int, kills: int, seconds: float
             now = time.monotonic()
             if moment is None and newest_step(folder) >= step:
                 moment = now + rng.uniform(0, seconds)
-            if moment is not None and now > moment and (not aim or any(folder.glob(".*.part*"))):
+            if moment is not None and now > moment and (not aim or caught_writing(process, folder)):
                 break
             time.sleep(0.0005)
         else:

@@ -10,3 +10,4 @@ def test_killed_trainings_of_both_stages_end_with_the_same_weights(tmp_path):
     tallies = try_kills(tmp_path, kills=5, each=3)
     assert all(tally.identical for tally in tallies)
     assert len(tallies) >= 2  # both stages
+    assert sum(tally.while_writing for tally in tallies) > 0

@@ -13,6 +13,7 @@ import numpy as np
 from loopback import Loopback, zip_of
 from PIL import Image
 from scipy.io import savemat
+from small_encoder import save_encoder
 from small_kitti import write_calibration, write_drive
 
 from data_scripts import download_kitti, download_make3d, export_depth
@@ -78,8 +79,6 @@ def improved(folder: Path) -> Call:
 
 def training(folder: Path, suffix: str = ".png", variant: str = "lr") -> Call:
     """`train`, one step of a small network on one triplet."""
-    from transformers import ResNetConfig
-
     from dualdepth.data.triplets import drive_triplets
     from dualdepth.preparation import Sources, write_identity, write_training_index
     from dualdepth.results import Run
@@ -88,7 +87,7 @@ def training(folder: Path, suffix: str = ".png", variant: str = "lr") -> Call:
     Path("Snakefile").touch()
     write_calibration("kitti")
     write_drive("kitti", range(3), suffix=suffix)
-    ResNetConfig(hidden_sizes=[16, 32, 48, 64], depths=[1, 1, 1, 1], embedding_size=16, layer_type="basic").save_pretrained("small")
+    save_encoder("small")
     stage = {"batch_size": 1, "max_steps": 1}
     values = {
         "about": "a test",
