@@ -7,7 +7,7 @@ import pytest
 import torch
 from accelerate.state import AcceleratorState
 from small_kitti import DRIVE
-from test_trainings import backbones, run_in, trained  # noqa: F401
+from small_stages import backbones, run_in, trained  # noqa: F401
 
 from dualdepth.cli import main
 from dualdepth.errors import InputError

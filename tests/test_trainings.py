@@ -4,20 +4,16 @@ import json
 import os
 import shutil
 import signal
-from types import SimpleNamespace
 
 import pytest
 import torch
-from accelerate.state import AcceleratorState
-from safetensors.torch import load_file
-from small_encoder import save_encoder
-from small_kitti import DRIVE, write_calibration, write_drive, write_sequence
+from small_kitti import DRIVE, write_sequence
+from small_stages import OTHER, STEPS, after_stage_1, backbones, change_card, equal, part, quiet_torch, run_in, trained  # noqa: F401
 
 from dualdepth import trainings
 from dualdepth.building import make_stage
 from dualdepth.checkpoints import last_checkpoint, load_card
 from dualdepth.data.odometry import write_odometry_index
-from dualdepth.data.triplets import drive_triplets
 from dualdepth.errors import InputError
 from dualdepth.hr_stage import HRStage
 from dualdepth.lock import locked
@@ -25,91 +21,11 @@ from dualdepth.networks.architecture import Architecture
 from dualdepth.networks.lr_net import LRNet
 from dualdepth.networks.pose_net import PoseNet
 from dualdepth.predict import load_depth_net
-from dualdepth.preparation import Sources, write_identity, write_training_index
-from dualdepth.results import Run, file_digest
+from dualdepth.preparation import Sources
+from dualdepth.results import file_digest
 from dualdepth.trainings import start_weights, train_variant
 
-OTHER = "2011_09_26/2011_09_26_drive_0002_sync"
-STEPS = 3
-ONE_STEP = {"training.hr.max_steps": 1}
-
-
-@pytest.fixture(autouse=True)
-def quiet_torch():
-    """Each training decides precision and determinism for itself."""
-    yield
-    AcceleratorState._reset_state(reset_partial_state=True)
-    torch.use_deterministic_algorithms(False)
-
-
-@pytest.fixture(scope="module")
-def backbones(tmp_path_factory):
-    """Folders of two small ResNets."""
-    return SimpleNamespace(usual=save_encoder(tmp_path_factory.mktemp("usual")), other=save_encoder(tmp_path_factory.mktemp("other"), 80))
-
-
-@pytest.fixture(scope="module")
-def run_in(backbones):
-    """A run in a folder that looks like a checkout, with changes of its profile."""
-
-    def make(root, encoder=backbones.usual, hr_size=(192, 192), lr=None, train=None):
-        values = {
-            "about": "a test",
-            "data": {"source": "kitti", "train_drives": [DRIVE], "hr_size": hr_size},
-            "training": {
-                **{"encoder": encoder, "pretrained": False, "workers": 0, "precision": "float32", "checkpoint_every": 2, "log_every": 1},
-                "lr": lr or {"batch_size": 1, "max_steps": 2},
-                "hr": {"batch_size": 1, "epochs": 1},
-            },
-            "train": train or {"lr": None, "dual": None, "dual_no_sa": None, "hr_only": ONE_STEP, "one_network": ONE_STEP},
-            "variants": {"one_network": {"label": "one", "about": "one network", "network": "single"}},
-        }
-        (root / "notebooks").mkdir(exist_ok=True)
-        (root / "Snakefile").touch()
-        path = root / "own.yaml"
-        path.write_text(json.dumps(values))  # JSON is YAML
-        return Run(str(path), root)
-
-    return make
-
-
-@pytest.fixture(scope="module")
-def trained(run_in, tmp_path_factory):
-    """A run whose `lr` was trained on one drive and whose `dual` on another; not to be changed."""
-    root = tmp_path_factory.mktemp("checkout")
-    kitti = root / "kitti"
-    write_calibration(kitti)
-    for drive in (DRIVE, OTHER):
-        write_drive(kitti, range(STEPS + 2), drive)
-    run = run_in(root)
-    Sources(kitti_root=kitti, test_list=root / "test_files.txt").save(run)
-    for drive, variant in ((DRIVE, "lr"), (OTHER, "dual")):
-        targets = drive_triplets(kitti, [drive])
-        write_training_index(run, Sources.load(run), targets)
-        write_identity(run, Sources.load(run), targets)
-        assert train_variant(run, variant, 0) == run.weights(variant, 0)
-    return run
-
-
-@pytest.fixture
-def after_stage_1(trained, run_in, tmp_path):
-    """A copy of the run, before `dual`, with changes of its profile."""
-
-    def make(name="copy", **changes):
-        root = tmp_path / name
-        shutil.copytree(trained.work, root / "work" / "own", ignore=shutil.ignore_patterns("dual"))
-        return run_in(root, **changes)
-
-    return make
-
-
-def part(weights, prefix):
-    """Tensors of a weights file whose names begin with `prefix`, without it."""
-    return {name.removeprefix(prefix): value for name, value in load_file(weights).items() if name.startswith(prefix)}
-
-
-def equal(a, b):
-    return len(a) > 0 and a.keys() == b.keys() and all(torch.equal(v, b[k]) for k, v in a.items())
+# ruff: noqa: F811
 
 
 def equal_anywhere(a, b):
@@ -297,100 +213,6 @@ def test_a_dual_training_that_was_stopped_and_killed_goes_on_to_the_same_weights
     assert len(calls) == 4
     assert load_card(weights)["resumed_at"] == 2
     assert weights.read_bytes() == trained.weights("dual", 0).read_bytes()
-
-
-def cut(run):
-    path = run.weights("lr", 0)
-    path.write_bytes(path.read_bytes()[:-20])
-
-
-def tamper(run):
-    content = bytearray(run.weights("lr", 0).read_bytes())
-    content[-1] ^= 1
-    run.weights("lr", 0).write_bytes(content)
-
-
-def change_card(run, **changes):
-    path = run.weights("lr", 0).with_suffix(".json")
-    path.write_text(json.dumps(json.loads(path.read_text()) | changes))
-
-
-SPOILT = {
-    "no weights": (
-        lambda run: run.weights("lr", 0).unlink(),
-        r"^work/own/runs/lr/seed0/model\.safetensors is missing: run notebook 03_train_lr, variant lr, seed 0, with profile own first$",
-    ),
-    "no card": (
-        lambda run: run.weights("lr", 0).with_suffix(".json").unlink(),
-        r"/runs/lr/seed0/model\.json: the weights' card cannot be read \(.*\); keep it beside the weights$",
-    ),
-    "half a card": (
-        lambda run: run.weights("lr", 0).with_suffix(".json").write_text('{"network": "lr"'),
-        r"/runs/lr/seed0/model\.json: the weights' card cannot be read \(.*\); keep it beside the weights$",
-    ),
-    "truncated": (cut, r"/runs/lr/seed0/model\.safetensors: cannot be read as safetensors \(.*\); train again or copy it again$"),
-    "tampered": (tamper, r"/runs/lr/seed0/model\.safetensors: sha256 .* is not the card's .*; the file was changed, copy it again$"),
-    "another network": (
-        lambda run: change_card(run, network="dual"),
-        r"/runs/lr/seed0/model\.safetensors: trained with network 'dual' instead of 'lr'; train lr again with this profile$",
-    ),
-    "another version's card": (
-        lambda run: change_card(run, network={"encoder": "resnet50", "hr_size": [192, 192]}, encoder=None, hr_size=None),
-        r"/runs/lr/seed0/model\.safetensors: trained with network .*; train lr again with this profile$",
-    ),
-    "a card of another project": (
-        lambda run: run.weights("lr", 0).with_suffix(".json").write_text('{"license": "MIT"}'),
-        r"/runs/lr/seed0/model\.(json|safetensors): .*; .+$",
-    ),
-    "no triplets": (
-        lambda run: (run.prepared / "triplets.csv").unlink(),
-        r"^work/own/prepared/triplets\.csv is missing: run notebook 02_prepare_data with profile own first$",
-    ),
-    "no sources": (
-        lambda run: run.sources.unlink(),
-        r"^work/own/sources\.json is missing: run notebook 01_download_data with profile own first$",
-    ),
-}
-
-
-@pytest.mark.parametrize("kind", SPOILT)
-def test_what_stage_2_needs_is_asked_for_in_one_line_that_names_it_and_the_mend(after_stage_1, kind):
-    spoil, said = SPOILT[kind]
-    run = after_stage_1()
-    spoil(run)
-    with pytest.raises(InputError, match=said) as error:
-        train_variant(run, "dual", 0)
-    assert "\n" not in str(error.value)
-    assert not run.weights("dual", 0).exists()
-    assert not run.weights("dual", 0).with_name("trained.json").exists()
-
-
-@pytest.mark.parametrize("name", ["dual", "hr_only"])
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        ({"encoder": "other"}, r"encoder '\S*usual\S*' instead of '\S*other\S*'"),
-        ({"hr_size": (192, 288)}, r"hr_size \[192, 192\] instead of \[192, 288\]"),
-    ],
-    ids=["backbone", "size"],
-)
-def test_stage_1_of_another_backbone_or_size_is_refused(after_stage_1, backbones, name, change, said):
-    run = after_stage_1(**{key: getattr(backbones, value) if key == "encoder" else value for key, value in change.items()})
-    said = rf"/runs/lr/seed0/model\.safetensors: trained with {said}; train lr again with this profile$"
-    with pytest.raises(InputError, match=said) as error:
-        train_variant(run, name, 0)
-    assert "\n" not in str(error.value)
-    assert not run.weights(name, 0).exists()
-
-
-def test_stage_1_of_another_seed_does_not_do(after_stage_1):
-    with pytest.raises(InputError, match=r"^work/own/runs/lr/seed1/model\.safetensors is missing: .* variant lr, seed 1, "):
-        train_variant(after_stage_1(), "dual", 1)
-
-
-def test_an_unknown_variant_is_an_error_that_names_the_nearest(trained):
-    with pytest.raises(InputError, match=r"^variant 'duel' is unknown; did you mean dual\? There are lr, dual, .*one_network$"):
-        train_variant(trained, "duel", 0)
 
 
 def test_odometry_is_trained_on_its_own_triplets_and_names_the_raw_drives(trained, run_in, tmp_path):

@@ -7,8 +7,8 @@ import resource
 import shutil
 
 import pytest
-from test_training import at_forward, encoder, equal, kill_softly, profile_of, quiet_torch, triplets  # noqa: F401
-from test_training import run as run_with  # noqa: F401
+from small_training import at_forward, equal, kill_softly, profile_of, quiet_torch, triplets  # noqa: F401
+from small_training import run as run_with  # noqa: F401
 
 from dualdepth.atomic import write_json
 from dualdepth.checkpoints import checkpoint_path, last_checkpoint, load_checkpoint

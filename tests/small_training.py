@@ -1,0 +1,94 @@
+"""Trainings of a small LR-Net on a few frames: fixtures and events that tests of the loop share."""
+
+import json
+import os
+import signal
+
+import pytest
+import torch
+from accelerate.state import AcceleratorState
+from safetensors.torch import load_file
+from small_kitti import DRIVE
+
+from dualdepth.config import load_profile
+from dualdepth.data.triplets import drive_triplets, load_triplets, write_targets
+from dualdepth.stages import LRStage
+from dualdepth.training import train
+
+STEPS = 6
+WIDE = (192, 288)
+"""For bfloat16: at 192×192 PoseNet's last map is 1×1, where the CPU leaves the gradient of padded weights unset."""
+
+
+@pytest.fixture(autouse=True)
+def quiet_torch():
+    """Each training decides precision and determinism for itself."""
+    yield
+    AcceleratorState._reset_state(reset_partial_state=True)
+    torch.use_deterministic_algorithms(False)
+
+
+@pytest.fixture
+def profile_of(encoder, tmp_path):
+    """A profile for tiny trainings, with changes like `training={"workers": 1}` or `stage={"epochs": 3}`."""
+
+    def make(training=None, stage=None, loss=None, augmentation=None, hr_size=(192, 192)):
+        settings = {"workers": 0, "precision": "float32", "checkpoint_every": 2, "log_every": 1} | (training or {})
+        values = {
+            "about": "a test",
+            "data": {"source": "kitti", "train_drives": [DRIVE], "hr_size": hr_size},
+            "training": {"encoder": encoder, "pretrained": False, **settings}
+            | {"lr": {"epochs": 2, "batch_size": 1} | (stage or {}), "loss": loss or {}, "augmentation": augmentation or {}},
+        }
+        path = tmp_path / "own.yaml"
+        path.write_text(json.dumps(values))  # JSON is YAML
+        return load_profile(str(path))
+
+    return make
+
+
+@pytest.fixture
+def triplets(kitti_root, tmp_path):
+    """Three triplets of five frames."""
+    path = tmp_path / "triplets.csv"
+    write_targets(path, kitti_root, drive_triplets(kitti_root, [DRIVE]))
+    return load_triplets(path, kitti_root)
+
+
+@pytest.fixture
+def run(profile_of, triplets, tmp_path):
+    def call(folder="run", make_model=LRStage, profile=None, seed=0, recipe="r", given=None):
+        profile = profile or profile_of()
+        path = train(
+            make_model, profile.training.lr, profile, given or triplets, tmp_path / folder, seed=seed, recipe=recipe, card={"is": "x"}
+        )
+        assert path == tmp_path / folder / "model.safetensors"
+        return load_file(path)
+
+    return call
+
+
+def at_forward(number, event):
+    """A stage that calls `event(output)` on its forward with this number, and gives what that returns."""
+
+    class Stage(LRStage):
+        calls = 0
+
+        def forward(self, batch):
+            output = super().forward(batch)
+            Stage.calls += 1
+            return (event(output) or output) if Stage.calls == number else output
+
+    return Stage
+
+
+def equal(a, b):
+    return a.keys() == b.keys() and all(torch.equal(v, b[k]) for k, v in a.items())
+
+
+def kill_softly(_):
+    os.kill(os.getpid(), signal.SIGTERM)
+
+
+def kill(_):
+    raise KeyboardInterrupt
