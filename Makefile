@@ -35,7 +35,7 @@ status: env ## which steps of a profile are done, stale (and why), missing or ru
 	    --odometry-root "$(ODOMETRY_ROOT)" --make3d-root "$(MAKE3D_ROOT)" --labels-root "$(LABELS_ROOT)" $(if $(filter 1,$(ALLOW_LEAK)),--allow-leak)
 
 test: env lint ## lint, unit tests, the tiny chain, notebooks against their stored outputs
-	pytest
+	pytest --numprocesses logical --maxprocesses 4 --dist worksteal
 	dualdepth reproduce --profile tiny
 	pytest --nbval $(NOTEBOOKS)
 	@echo "all tests passed; the notebooks' data and weights are in work/tiny, tables and figures in results/tiny"
