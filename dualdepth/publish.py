@@ -3,6 +3,7 @@
 import argparse
 import ast
 import json
+import re
 import shutil
 import sys
 from pathlib import Path
@@ -56,9 +57,11 @@ def publish_notebooks() -> int:
             if cell.cell_type == "code":
                 count += 1
                 cell.execution_count = count
-                for output in cell.outputs:
+                for place, output in enumerate(cell.outputs):
                     if "execution_count" in output:
                         output.execution_count = count
+                    if html := output.get("data", {}).get("text/html"):  # pandas draws a name for each styled table
+                        output.data["text/html"] = re.sub(r"\bT_[0-9a-f]{5}(?=\b|_)", f"T_{count}_{place}", html)
         with atomic_path(source) as partial:
             nbformat.write(notebook, partial)
         stored += 1
