@@ -35,15 +35,18 @@ status: env ## which steps of a profile are done, stale (and why), missing or ru
 	    --odometry-root "$(ODOMETRY_ROOT)" --make3d-root "$(MAKE3D_ROOT)" --labels-root "$(LABELS_ROOT)" $(if $(filter 1,$(ALLOW_LEAK)),--allow-leak)
 
 test: env lint ## lint, unit tests, the tiny chain, notebooks against their stored outputs
-	pytest --numprocesses logical --maxprocesses 4 --dist worksteal
+	pytest $(SIDE_BY_SIDE) --dist worksteal
 	dualdepth reproduce --profile tiny
-	pytest --nbval $(NOTEBOOKS)
+	pytest --nbval $(SIDE_BY_SIDE) --dist loadscope $(filter-out $(REPORT),$(NOTEBOOKS))
+	pytest --nbval $(REPORT)
 	@echo "all tests passed; the notebooks' data and weights are in work/tiny, tables and figures in results/tiny"
 
 soak: env ## the long form of the tests of reliability, to results/published/reliability.csv: make soak [PARTS="kills fuzz"]
 	python -m tests.reliability.soak $(PARTS)
 
-NOTEBOOKS = $(sort $(wildcard notebooks/*.ipynb))
+SIDE_BY_SIDE := --numprocesses logical --maxprocesses 4
+NOTEBOOKS := $(sort $(wildcard notebooks/*.ipynb))
+REPORT := notebooks/14_report.ipynb# reads the tables that the others write
 
 lint: env ## ruff
 	ruff check .
