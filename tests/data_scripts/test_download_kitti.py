@@ -1,28 +1,16 @@
 """The download script, run in-process against a server on loopback that holds a toy KITTI."""
 
 import hashlib
-import importlib.util
 import json
 import shutil
 from pathlib import Path
 from types import SimpleNamespace
 
+import loopback
 import pytest
 
+from data_scripts import download_kitti as script
 from dualdepth.data import download, sources
-
-REPOSITORY = Path(__file__).resolve().parents[2]
-
-
-def load(path):
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-loopback = load(REPOSITORY / "tests" / "data" / "loopback.py")
-script = load(REPOSITORY / "data_scripts" / "download_kitti.py")
 
 DAY, DRIVE = "2011_09_26", "2011_09_26_drive_0095_sync"
 CALIB_ADDRESS = "raw_data/2011_09_26_calib.zip"

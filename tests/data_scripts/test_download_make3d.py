@@ -1,35 +1,22 @@
 """The download of Make3D, run in-process against a server on loopback that holds a toy test set."""
 
 import hashlib
-import importlib.util
 import io
 import json
 import shutil
 import socket
 import tarfile
-from pathlib import Path
 from types import SimpleNamespace
 
 import cv2
+import loopback
 import numpy as np
 import pytest
 from scipy.io import savemat
 
+from data_scripts import download_make3d as script
 from dualdepth.data import download
 from dualdepth.data.make3d import find_pairs
-
-REPOSITORY = Path(__file__).resolve().parents[2]
-
-
-def load(path):
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-loopback = load(REPOSITORY / "tests" / "data" / "loopback.py")
-script = load(REPOSITORY / "data_scripts" / "download_make3d.py")
 
 PHOTOS, GRIDS = "Test134.tar.gz", "Test134Depth.tar.gz"
 NAMES = ("a-p-001t000", "b-p-002t000", "c-p-003t000")

@@ -1,29 +1,15 @@
 """Regions against a slow reference and closed forms."""
 
-import math
-
 import cv2
 import numpy as np
 import pytest
+from slow_metrics import slow_metrics
 
 from dualdepth.errors import InputError
 from dualdepth.evaluation.depth import METRICS, evaluate
 from dualdepth.evaluation.regions import REGIONS, evaluate_regions
 
 ROAD, GREEN = "Road", "Tree & grass"
-
-
-def slow_metrics(pairs):
-    """The seven metrics of (truth, prediction) pairs, one by one."""
-    n = len(pairs)
-    return {
-        "abs_rel": sum(abs(g - p) / g for g, p in pairs) / n,
-        "sq_rel": sum((g - p) ** 2 / g for g, p in pairs) / n,
-        "rmse": math.sqrt(sum((g - p) ** 2 for g, p in pairs) / n),
-        "rmse_log": math.sqrt(sum((math.log(g) - math.log(p)) ** 2 for g, p in pairs) / n),
-        **{f"a{k}": sum(max(g / p, p / g) < 1.25**k for g, p in pairs) / n for k in (1, 2, 3)},
-        "valid_pixels": n,
-    }
 
 
 def slow_regions(prediction, truth, labels, kind, min_depth, max_depth):
