@@ -35,7 +35,7 @@ status: env ## which steps of a profile are done, stale (and why), missing or ru
 	    --odometry-root "$(ODOMETRY_ROOT)" --make3d-root "$(MAKE3D_ROOT)" --labels-root "$(LABELS_ROOT)" $(if $(filter 1,$(ALLOW_LEAK)),--allow-leak)
 
 test: env lint ## lint, unit tests, the tiny chain, notebooks against their stored outputs
-	pytest $(SIDE_BY_SIDE) --dist worksteal
+	pytest --numprocesses 3 --dist worksteal # one more than two cores: much of a test is waiting
 	dualdepth reproduce --profile tiny
 	pytest --nbval $(SIDE_BY_SIDE) --dist loadscope $(filter-out $(REPORT),$(NOTEBOOKS))
 	pytest --nbval $(REPORT)
