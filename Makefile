@@ -35,7 +35,7 @@ status: env ## which steps of a profile are done, stale (and why), missing or ru
 	    --odometry-root "$(ODOMETRY_ROOT)" --make3d-root "$(MAKE3D_ROOT)" --labels-root "$(LABELS_ROOT)" $(if $(filter 1,$(ALLOW_LEAK)),--allow-leak)
 
 test: env lint ## lint, unit tests, the tiny chain, notebooks against their stored outputs
-	pytest --numprocesses 3 --dist worksteal # one more than two cores: much of a test is waiting
+	pytest $(SIDE_BY_SIDE) --dist worksteal
 	dualdepth reproduce --profile tiny
 	pytest --nbval $(SIDE_BY_SIDE) --dist loadscope $(filter-out $(REPORT),$(NOTEBOOKS))
 	pytest --nbval $(REPORT)
@@ -44,9 +44,11 @@ test: env lint ## lint, unit tests, the tiny chain, notebooks against their stor
 soak: env ## the long form of the tests of reliability, to results/published/reliability.csv: make soak [PARTS="kills fuzz"]
 	python -m tests.reliability.soak $(PARTS)
 
-SIDE_BY_SIDE := --numprocesses logical --maxprocesses 4
+# one more than CI has cores: much of a test is waiting
+SIDE_BY_SIDE := --numprocesses 3
 NOTEBOOKS := $(sort $(wildcard notebooks/*.ipynb))
-REPORT := notebooks/14_report.ipynb# reads the tables that the others write
+# reads the tables that the others write
+REPORT := notebooks/14_report.ipynb
 
 lint: env ## ruff
 	ruff check .

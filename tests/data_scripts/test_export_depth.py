@@ -1,6 +1,5 @@
 """Exporting ground truth from the shell: real frames, and one line for every mistake with nothing half-written."""
 
-import importlib.util
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from data_scripts import export_depth
 from dualdepth.data.depth_maps import load_ground_truth
 from dualdepth.data.kitti import read_frame_list
 from dualdepth.data.lidar import ground_truth
@@ -17,10 +17,6 @@ REPOSITORY = Path(__file__).parents[2]
 SCRIPT = REPOSITORY / "data_scripts" / "export_depth.py"
 REAL = REPOSITORY.parent / "shared" / "data"
 DRIVE = "2011_09_26/2011_09_26_drive_0001_sync"
-
-spec = importlib.util.spec_from_file_location("export_depth", SCRIPT)
-export_depth = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(export_depth)
 
 
 @pytest.fixture

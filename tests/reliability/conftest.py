@@ -1,14 +1,9 @@
-"""What the tests of reliability share: the repository on the path, and counts of what was tried and what held."""
+"""What the tests of reliability share: counts of what was tried and what held."""
 
-import sys
 from contextlib import contextmanager
-from pathlib import Path
 
 import pytest
-
-sys.path[:0] = [str(Path(__file__).parents[2]), str(Path(__file__).parents[1] / "data")]
-
-from counting import write_count  # noqa: E402
+from counting import write_count
 
 
 @pytest.fixture
