@@ -1,22 +1,22 @@
-# The order of the notebooks: one rule a notebook, a training for each variant and seed. What shapes a step's result stands in its
-# `made_from`, by name, so that a changed setting or changed code reruns the step and what depends on it, and nothing else.
+# The order of the notebooks: one rule a notebook, one a training. What shapes a step's result, beside its input files, stands in its
+# params by name, so that a changed setting or changed code reruns the step and what depends on it, and nothing else.
 from pathlib import Path
 
-from dualdepth.data.own import RECORD
-from dualdepth.ingredients import ingredients
-from dualdepth.results import PACKAGE, Run, file_digest, folder_digest
+from dualdepth.files import file_digest, folder_digest
+from dualdepth.run import RECORD, ROOTS, Run
+from dualdepth.staleness import PACKAGE, inputs
 
 PROFILE = config.get("profile", "tiny")
 run_ = Run(PROFILE)
 NAME = run_.profile.name
 SEEDS = [int(s) for s in str(config.get("seeds", "")).split(",") if s] or run_.profile.seeds
 WORK, RESULTS = f"work/{NAME}", f"results/{NAME}"
-ROOTS = ("kitti_root", "test_list", "odometry_root", "make3d_root", "labels_root")
 GIVEN = {name: config.get(name) or "" for name in ROOTS} | {"allow_leak": int(config.get("allow_leak") or 0)}
 # without odometry's frames there is nothing to train its variants on; their table says so
 DEPTH, ODOMETRY = run_.profile.trained_on("depth"), run_.profile.trained_on("odometry")
 TRAINED = DEPTH + (ODOMETRY if run_.profile.world or GIVEN["odometry_root"] else [])
-VARIANTS = {stage: [v for v in TRAINED if run_.profile.variant(v).stage == stage] for stage in ("lr", "hr")}
+NOTEBOOKS = {"lr": "03_train_lr", "hr": "04_train_hr"}
+STAGE = {variant: run_.profile.variant(variant).stage for variant in TRAINED}
 # each page that scores trainings: its table, if it has one, and the trainings
 PAGES = {
     "05_table_main": ("main", ["lr", "dual"]),
@@ -31,8 +31,11 @@ PAGES = {
 }
 # a data set of an own camera may be made anew in the same folder
 OWN = {} if run_.profile.data.has_truth else {RECORD: file_digest(Path(GIVEN["kitti_root"]) / RECORD)}
-# trainings side by side do more in the same time than one after the other on all cores
-THREADS = {stage: max(1, workflow.cores // max(1, len(names) * len(SEEDS))) for stage, names in VARIANTS.items()}
+
+
+def made_from(notebook, step, **kinds):
+    """What shapes a step's result, for its params."""
+    return inputs(notebook, step, run_.root, **kinds)
 
 
 def trained(variants):
@@ -45,14 +48,7 @@ def needed(*variants):
     return trained([v for v in variants if v in TRAINED])
 
 
-def index(variant):
-    """Prepared triplets of a variant."""
-    return str(run_.index(variant).relative_to(run_.root))
-
-
 wildcard_constraints:
-    lr="|".join(VARIANTS["lr"]) or "none",
-    hr="|".join(VARIANTS["hr"]) or "none",
     seed=r"\d+",
 
 
@@ -66,8 +62,7 @@ rule all:
         expand(f"{RESULTS}/tables/{{table}}.{{end}}", table=[table for table, _ in PAGES.values() if table], end=["csv", "json"]),
         f"{RESULTS}/report.html",
         f"{WORK}/prepared/test_frames.json",
-        expand(f"{RESULTS}/notebooks/03_train_lr_{{variant}}_seed{{seed}}.ipynb", variant=VARIANTS["lr"], seed=SEEDS),
-        expand(f"{RESULTS}/notebooks/04_train_hr_{{variant}}_seed{{seed}}.ipynb", variant=VARIANTS["hr"], seed=SEEDS),
+        [f"{RESULTS}/notebooks/{NOTEBOOKS[STAGE[v]]}_{v}_seed{seed}.ipynb" for v in TRAINED for seed in SEEDS],
 
 
 rule quickstart:
@@ -76,8 +71,8 @@ rule quickstart:
     output:
         f"{RESULTS}/notebooks/00_quickstart.ipynb",
     params:
+        *made_from("00_quickstart", "quickstart"),
         seed=SEEDS[0],
-        made_from=ingredients("00_quickstart", ("train_lr", "world", "quickstart")),
     shell:
         "dualdepth notebook 00_quickstart --out {output} --set profile={PROFILE:q} seed={params.seed}"
 
@@ -87,7 +82,7 @@ rule download_data:
         notebook=f"{RESULTS}/notebooks/01_download_data.ipynb",
         sources=f"{WORK}/sources.json",
     params:
-        made_from=ingredients("01_download_data", ("world",), setting=run_.profile.values("world", "data"), given=GIVEN, files=OWN),
+        *made_from("01_download_data", "data", setting=run_.profile.values("world", "data"), given=GIVEN, files=OWN),
     threads: workflow.cores
     shell:
         "dualdepth notebook 01_download_data --out {output.notebook} --set profile={PROFILE:q}"
@@ -106,46 +101,34 @@ rule prepare_data:
         truth=f"{WORK}/prepared/ground_truth.npz",
         odometry=[f"{WORK}/prepared/odometry.csv"] if set(ODOMETRY) <= set(TRAINED) and ODOMETRY else [],
     params:
-        made_from=ingredients("02_prepare_data", ("prepare",), setting=run_.profile.values("data") | {"odometry": ODOMETRY != []}),
+        *made_from("02_prepare_data", "data", setting=run_.profile.values("data") | {"odometry": ODOMETRY != []}),
     shell:
         "dualdepth notebook 02_prepare_data --out {output.notebook} --set profile={PROFILE:q}"
 
 
-rule train_lr:
-    input:
-        lambda wildcards: index(wildcards.lr),
-        f"{WORK}/prepared/identity.json",
-    output:
-        notebook=f"{RESULTS}/notebooks/03_train_lr_{{lr}}_seed{{seed}}.ipynb",
-        trained=f"{WORK}/runs/{{lr}}/seed{{seed}}/trained.json",
-    params:
-        made_from=lambda wildcards: ingredients("03_train_lr", ("train_lr",), setting=run_.settings(wildcards.lr)),
-    threads: THREADS["lr"]
-    resources:
-        gpu=1,
-    shell:
-        "OMP_NUM_THREADS={threads} dualdepth notebook 03_train_lr --out {output.notebook}"
-        " --set profile={PROFILE:q} variant={wildcards.lr} seed={wildcards.seed}"
+for variant in TRAINED:
 
-
-rule train_hr:
-    input:
-        lambda wildcards: index(wildcards.hr),
-        f"{WORK}/prepared/identity.json",
-        lambda wildcards: [
-            f"{WORK}/runs/{start}/seed{wildcards.seed}/trained.json" for start in [run_.profile.variant(wildcards.hr).starts_from] if start
-        ],
-    output:
-        notebook=f"{RESULTS}/notebooks/04_train_hr_{{hr}}_seed{{seed}}.ipynb",
-        trained=f"{WORK}/runs/{{hr}}/seed{{seed}}/trained.json",
-    params:
-        made_from=lambda wildcards: ingredients("04_train_hr", ("train_lr", "train_hr"), setting=run_.settings(wildcards.hr)),
-    threads: THREADS["hr"]
-    resources:
-        gpu=1,
-    shell:
-        "OMP_NUM_THREADS={threads} dualdepth notebook 04_train_hr --out {output.notebook}"
-        " --set profile={PROFILE:q} variant={wildcards.hr} seed={wildcards.seed}"
+    rule:
+        name:
+            f"train_{variant}"
+        input:
+            str(run_.index(variant).relative_to(run_.root)),
+            f"{WORK}/prepared/identity.json",
+            [f"{WORK}/runs/{start}/seed{{seed}}/trained.json" for start in [run_.profile.variant(variant).starts_from] if start],
+        output:
+            notebook=f"{RESULTS}/notebooks/{NOTEBOOKS[STAGE[variant]]}_{variant}_seed{{seed}}.ipynb",
+            trained=f"{WORK}/runs/{variant}/seed{{seed}}/trained.json",
+        params:
+            *made_from(NOTEBOOKS[STAGE[variant]], "training_page", setting=run_.settings(variant)),
+            page=NOTEBOOKS[STAGE[variant]],
+            variant=variant,
+        # trainings side by side do more in the same time than one after the other on all cores
+        threads: max(1, workflow.cores // max(1, len(SEEDS) * sum(stage == STAGE[variant] for stage in STAGE.values())))
+        resources:
+            gpu=1,
+        shell:
+            "OMP_NUM_THREADS={threads} dualdepth notebook {params.page} --out {output.notebook}"
+            " --set profile={PROFILE:q} variant={params.variant} seed={wildcards.seed}"
 
 
 SHARED = {
@@ -173,9 +156,9 @@ for page, (table, names) in PAGES.items():
             notebook=f"{RESULTS}/notebooks/{page}.ipynb",
             table=[f"{RESULTS}/tables/{table}.csv", f"{RESULTS}/tables/{table}.json"] if table else [],
         params:
+            *made_from(page, "tables", files=FILES.get(table, {}), **SHARED),
             page=page,
             seeds=",".join(map(str, SEEDS)),
-            made_from=ingredients(page, ("predict", "tables"), files=FILES.get(table, {}), **SHARED),
         threads: workflow.cores if table == "backbone" else max(1, workflow.cores // 2)  # the one measures time
         resources:
             gpu=1,
@@ -191,11 +174,20 @@ rule report:
         notebook=f"{RESULTS}/notebooks/14_report.ipynb",
         page=f"{RESULTS}/report.html",
     params:
-        made_from=ingredients(
+        *made_from(
             "14_report",
-            ("predict", "tables", "report"),
+            "report",
             **SHARED | {"setting": SHARED["setting"] | run_.profile.values("verdicts", "training.loss")},
-            files={"report.html.j2": file_digest(PACKAGE / "report.html.j2")},
+            files={name: file_digest(PACKAGE / name) for name in ("report.html.j2", "assumptions.yaml")},
         ),
     shell:
         "dualdepth notebook 14_report --out {output.notebook} --set profile={PROFILE:q}"
+
+
+onsuccess:
+    print(f"{NAME}: {run_.profile.about}")
+    print(f"results of profile {NAME}: {RESULTS}/report.html, tables, figures, notebooks")
+
+
+onerror:
+    print(f"error: the chain stopped, see above; Snakemake's log is {log}", file=sys.stderr)

@@ -17,10 +17,9 @@ from typing import Any
 
 from tqdm import tqdm
 
-from dualdepth.atomic import write_json
-from dualdepth.config import load_profile
-from dualdepth.data.download import fetch, gigabytes, part_size, remote_size, require_space
-from dualdepth.data.sources import (
+from data_scripts.archives import BadArchiveError, unpack
+from data_scripts.fetch import fetch, gigabytes, part_size, remote_size, require_space
+from data_scripts.sources import (
     CAMERAS,
     IMPROVED_DEPTH,
     KITTI_HOME,
@@ -32,8 +31,9 @@ from dualdepth.data.sources import (
     named_list,
     profile_drives,
 )
-from dualdepth.data.unpacking import BadArchiveError, unpack
 from dualdepth.errors import InputError, exit_on_input_error
+from dualdepth.files import write_json
+from dualdepth.profile import load_profile
 
 UNPACKED = 1.25
 """Unpacked size over archive size, estimated from above (images hardly shrink in a zip, laser scans do); checked exactly later."""

@@ -19,17 +19,13 @@ from typing import Any
 
 from tqdm import tqdm
 
-REPOSITORY = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(REPOSITORY))  # run as a script, only this file's folder is there
-
-from data_scripts.download_kitti import check_writable, progress  # noqa: E402
-from dualdepth.atomic import write_json  # noqa: E402
-from dualdepth.data.download import fetch, gigabytes, part_size, remote_size, require_space  # noqa: E402
-from dualdepth.data.make3d import find_pairs, is_truncated, read_grid, read_photo  # noqa: E402
-from dualdepth.data.sources import MAKE3D, MAKE3D_HOME, MAKE3D_PHOTOS, PhotoArchive  # noqa: E402
-from dualdepth.data.unpacking import BadArchiveError, unpack_tar  # noqa: E402
-from dualdepth.errors import InputError, exit_on_input_error  # noqa: E402
-from dualdepth.results import file_digest  # noqa: E402
+from data_scripts.archives import BadArchiveError, unpack_tar
+from data_scripts.download_kitti import check_writable, progress
+from data_scripts.fetch import fetch, gigabytes, part_size, remote_size, require_space
+from data_scripts.sources import MAKE3D, MAKE3D_HOME, PhotoArchive
+from dualdepth.data.make3d import MAKE3D_PHOTOS, find_pairs, is_truncated, read_grid, read_photo
+from dualdepth.errors import InputError, exit_on_input_error
+from dualdepth.files import file_digest, write_json
 
 UNPACKED = 1.25
 """Unpacked size over archive size, estimated from above (photos hardly shrink); checked exactly later."""

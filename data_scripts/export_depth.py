@@ -36,16 +36,30 @@ def present_frames(paths: dict[int, Path | None], frames: list[Frame], allow_mis
     return present
 
 
-def export(
-    kitti: str | Path | None, frame_list: str | Path, out: str | Path, *, camera_z: bool, improved: str | Path | None, allow_missing: bool
+def export_frames(
+    frames: list[Frame],
+    out: str | Path,
+    *,
+    kitti: str | Path | None = None,
+    camera_z: bool = False,
+    improved: str | Path | None = None,
+    allow_missing: bool = False,
 ) -> int:
-    """Write the ground truth of `frame_list` to `out` and return the number of maps; arguments as on the command line."""
-    frames = read_frame_list(frame_list)
-    if improved is None:
-        root = check_root(kitti)
-        paths = {number: velodyne_path(root, frame) for number, frame in enumerate(frames)}
-    else:
-        paths = {number: improved_path(improved, frame) for number, frame in enumerate(frames)}
+    """Write the ground truth of frames to `out` and return the number of maps.
+
+    Args:
+        frames: in the order of the maps.
+        out: the npz file.
+        kitti: folder of KITTI raw, for projected laser scans.
+        camera_z: depth along the camera's axis instead of the laser's forward coordinate.
+        improved: folder of the accumulated maps, which are then taken instead.
+        allow_missing: leave out frames whose file is missing.
+
+    Raises:
+        InputError: files are missing (all are named in one message) or broken, or `out` cannot be written.
+    """
+    root = check_root(kitti) if improved is None else Path(improved)
+    paths = {number: improved_path(root, frame) if improved else velodyne_path(root, frame) for number, frame in enumerate(frames)}
     present = present_frames(paths, frames, allow_missing)
 
     def maps() -> Iterator[np.ndarray]:
@@ -53,7 +67,7 @@ def export(
         for number in tqdm(present, "ground truth", unit="frame", disable=None):
             frame = frames[number]
             try:
-                depth = improved_ground_truth(improved, frame) if improved else ground_truth(root, frame, camera_z=camera_z)
+                depth = improved_ground_truth(root, frame) if improved else ground_truth(root, frame, camera_z=camera_z)
             except OSError as error:  # else told as one of writing
                 raise InputError(f"{error.filename}: cannot be read ({error.strerror})") from None
             yield depth
@@ -79,10 +93,10 @@ def main(argv: list[str] | None = None) -> int:
     with exit_on_input_error():
         if not (arguments.kitti or arguments.improved):
             raise InputError("give --kitti ROOT, the folder that holds 2011_09_26, 2011_09_28, …")
-        count = export(
-            arguments.kitti,
-            arguments.list,
+        count = export_frames(
+            read_frame_list(arguments.list),
             arguments.out,
+            kitti=arguments.kitti,
             camera_z=arguments.camera_z,
             improved=arguments.improved,
             allow_missing=arguments.allow_missing,

@@ -19,11 +19,10 @@ from PIL import Image
 from tqdm import tqdm
 
 from data_scripts.export_depth import present_frames
-from dualdepth.atomic import atomic_path, write_json
 from dualdepth.data.kitti import check_root, image_path, read_frame_list, read_image
 from dualdepth.data.label_maps import CITYSCAPES, label_path
 from dualdepth.errors import InputError, exit_on_input_error
-from dualdepth.results import file_digest
+from dualdepth.files import atomic_path, file_digest, write_json
 
 if TYPE_CHECKING:
     import torch

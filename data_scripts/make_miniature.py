@@ -20,16 +20,14 @@ from pathlib import Path
 import cv2
 from tqdm import tqdm
 
+from data_scripts.miniature.frames import write_shot
+from data_scripts.miniature.plan import folders, plan_world
+from dualdepth.errors import InputError, exit_on_input_error
+from dualdepth.files import write_json
+from dualdepth.profile import load_profile
+from dualdepth.settings import World
+
 REPOSITORY = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(REPOSITORY))  # run as a script, only this file's folder is there; the worker processes inherit it
-
-from data_scripts.miniature.frames import write_shot  # noqa: E402
-from data_scripts.miniature.plan import folders, plan_world  # noqa: E402
-from dualdepth.atomic import write_json  # noqa: E402
-from dualdepth.config import load_profile  # noqa: E402
-from dualdepth.errors import InputError, exit_on_input_error  # noqa: E402
-from dualdepth.sections import World  # noqa: E402
-
 STAMP = "world.json"
 """Written last; says which settings and sources a folder was made from."""
 

@@ -17,13 +17,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from dualdepth.atomic import write_json
-from dualdepth.data import own
-from dualdepth.data.camera import MOST_BOARDS, Camera, Straightener, calibrated, camera_of_field, camera_of_file, camera_of_numbers
-from dualdepth.data.film import examine, hold_out, record
-from dualdepth.data.footage import Footage
+from data_scripts.own import dataset
+from data_scripts.own.camera import MOST_BOARDS, Camera, Straightener, calibrate, camera_of_field, camera_of_file, camera_of_numbers
+from data_scripts.own.checks import examine, hold_out, record
+from dualdepth.data.frames import Footage
 from dualdepth.errors import InputError, exit_on_input_error
-from dualdepth.lock import locked
+from dualdepth.files import locked, write_json
 
 
 class Made(NamedTuple):
@@ -84,7 +83,7 @@ def make(
     digest = hashlib.sha256(json.dumps([1, read_from, options]).encode()).hexdigest()
     out.parent.mkdir(parents=True, exist_ok=True)
     with locked(out.with_name(f".{out.name}.lock")):
-        found = own.read_record(out)
+        found = dataset.read_record(out)
         if found and found["made_from"] == digest:
             return Made(out, out / f"{name}.yaml", found, kept=True)
         if out.exists() and (not out.is_dir() or any(out.iterdir())):
@@ -94,7 +93,7 @@ def make(
         shutil.rmtree(partial, ignore_errors=True)
         try:
             said = _make(partial, footages, _camera(footages, intrinsics, board, squares, fov), stride, held_out, name, anyway)
-            write_json(partial / own.RECORD, said | {"inputs": [str(f.path) for f in footages], "made_from": digest})
+            write_json(partial / dataset.RECORD, said | {"inputs": [str(f.path) for f in footages], "made_from": digest})
             if out.exists():
                 out.rmdir()
             partial.rename(out)
@@ -102,14 +101,14 @@ def make(
             raise InputError(f"{out}: could not be written ({error}); free space, or give another --out") from None
         finally:
             shutil.rmtree(partial, ignore_errors=True)
-    return Made(out, out / f"{name}.yaml", own.read_record(out) or {}, kept=False)
+    return Made(out, out / f"{name}.yaml", dataset.read_record(out) or {}, kept=False)
 
 
 def _make(
     root: Path, footages: Sequence[Footage], camera: Camera, stride: int | None, held_out: int | None, name: str, anyway: bool
 ) -> dict[str, Any]:
     """Examine and write; returns the record."""
-    hr_size = own.fitting_size(camera.size)
+    hr_size = dataset.fitting_size(camera.size)
     film = examine(footages, camera.matrix[0, 0] / camera.size[1], stride)
     failed = [check for check in film.checks if not check.passed]
     if failed and not (anyway and film.drives):
@@ -122,14 +121,14 @@ def _make(
         )
     straighten = Straightener(camera) if camera.distortion and any(camera.distortion) else None
     used = straighten.camera if straighten else camera
-    own.write_frames(root, footages, [*train, shown], straighten)
-    own.write_calibration(root, used)
-    own.write_lists(root, len(train), len(shown.numbers))
+    dataset.write_frames(root, footages, [*train, shown], straighten)
+    dataset.write_calibration(root, used)
+    dataset.write_lists(root, len(train), len(shown.numbers))
     triplets = sum(len(drive.numbers) - 2 for drive in train)
-    (root / f"{name}.yaml").write_text(own.profile_text(hr_size, triplets), encoding="utf-8")
+    (root / f"{name}.yaml").write_text(dataset.profile_text(hr_size, triplets), encoding="utf-8")
     drives = [
         {
-            "drive": own.drive_name(k),
+            "drive": dataset.drive_name(k),
             "input": drive.footage,
             "first": drive.numbers[0],
             "last": drive.numbers[-1],
@@ -155,7 +154,7 @@ def _camera(footages: Sequence[Footage], intrinsics: str, board: Footage | None,
             raise InputError(f"--squares {squares!r}: give the board's squares, or their inner corners, along and across, such as 9x6")
         every = max(1, board.length // MOST_BOARDS)
         views = ((f"{still.file or board.path}, frame {still.number}", still.image) for still in board.stills(range(0, 10**9, every)))
-        return calibrated(views, (int(match[1]), int(match[2])), size, f"chessboard {board.path}")
+        return calibrate(views, (int(match[1]), int(match[2])), size, f"chessboard {board.path}")
     if fov:
         return camera_of_field(fov, size)
     return camera_of_numbers(intrinsics, size) if _numbers(intrinsics) else camera_of_file(intrinsics, size)

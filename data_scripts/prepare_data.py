@@ -1,37 +1,40 @@
-"""Find or make a profile's data, and prepare them: training triplets, frames to score, their ground truth.
+"""Find or make a profile's data, and prepare them: training triplets, frames to score, their ground truth (notebook 02).
 
-python data_scripts/prepare_data.py --profile sample --kitti-root DIR
+    python data_scripts/prepare_data.py --profile sample --kitti-root DIR
+
+Every frame is decoded once, so that a broken one is known before a training begins.
 """
 
 import argparse
+import os
 import sys
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
-from data_scripts import download_kitti, export_depth, make_miniature
-from dualdepth.atomic import write_json, write_text
-from dualdepth.commands.reproduce import ROOTS, add_roots
-from dualdepth.data import own
-from dualdepth.data.kitti import CAMERA_OF_SIDE, Frame, check_root, numbered_lines, read_frame_list
-from dualdepth.data.sources import drive_archives, named_list
-from dualdepth.errors import InputError, exit_on_input_error
-from dualdepth.preparation import (
-    FOLDERS,
-    Sources,
-    check_labels,
-    check_separate,
-    laser_frames,
-    test_frames,
-    training_targets,
-    write_identity,
-    write_no_truth,
-    write_odometry,
-    write_training_index,
-)
-from dualdepth.results import Run
+import numpy as np
+from tqdm import tqdm
 
-MOST_SQUEEZED = 1.3
-"""Factor by which a profile may change the frames' shape; intrinsics follow, but what is seen looks strange to a network beyond it."""
+from data_scripts.export_depth import export_frames
+from data_scripts.find_data import find_data
+from dualdepth.data.depth_maps import save_ground_truth
+from dualdepth.data.kitti import (
+    Frame,
+    check_root,
+    image_path,
+    read_frame_list,
+    read_image,
+    read_static_frames,
+    read_test_scenes,
+    velodyne_path,
+)
+from dualdepth.data.label_maps import label_path
+from dualdepth.data.odometry import check_odometry_root, frame_files, poses_path, sequence_of, write_odometry_index
+from dualdepth.data.triplets import drive_triplets, missing_files_error, missing_neighbours, write_targets
+from dualdepth.errors import InputError, exit_on_input_error
+from dualdepth.files import file_digest, write_json
+from dualdepth.run import RECORD, ROOTS, Run, Sources, add_roots
 
 
 class Prepared(NamedTuple):
@@ -46,142 +49,184 @@ class Prepared(NamedTuple):
     """Triplets of odometry sequences."""
 
 
-def find_data(
-    run: Run,
-    kitti_root: str = "",
-    test_list: str = "",
-    odometry_root: str = "",
-    make3d_root: str = "",
-    labels_root: str = "",
-    allow_leak: bool = False,
-) -> Sources:
-    """Make the synthetic world, or take the user's KITTI, or download what the profile needs; remember where it is.
-
-    The other benchmarks' folders are taken where they are given; without one its table says how to get it.
-
-    Raises:
-        InputError: a folder is not what it should be, or a list or download cannot be had.
-    """
-    others = {"odometry_root": odometry_root, "make3d_root": make3d_root, "labels_root": labels_root}
-    if run.profile.world:
-        given = [name.upper() for name, value in {"kitti_root": kitti_root, "test_list": test_list, **others}.items() if value]
-        if given:
-            raise InputError(f"profile {run.profile.name} makes its own data: {' and '.join(given)} belong to sample, paper or your own")
-        root = run.work / "miniature"
-        make_miniature.make_world(run.profile.world, root)
-        sources = world_sources(root)
-    else:
-        sources = kitti_sources(run, kitti_root, test_list) if run.profile.data.has_truth else own_sources(run, kitti_root, test_list)
-        for name, check in FOLDERS.items():
-            if others[name]:
-                check(others[name])
-        sources = sources._replace(**{name: Path(value).resolve() if value else None for name, value in others.items()})
-    sources = sources._replace(allow_leak=allow_leak)
-    sources.save(run)
-    return sources
-
-
-def world_sources(root: Path) -> Sources:
-    """Sources of a synthetic world."""
-    lists = root / "lists"
-    drives = tuple((lists / "train_drives.txt").read_text(encoding="utf-8").split())
-    return Sources(
-        kitti_root=root / "kitti_raw",
-        test_list=lists / "test_files.txt",
-        train_drives=drives,
-        static_frames=lists / "static_frames.txt",
-        test_scenes=lists / "test_scenes.txt",
-        odometry_root=root / "kitti_odometry",
-        make3d_root=root / "make3d",
-        labels_root=root / "labels",
-    )
-
-
-def own_sources(run: Run, root: str, test_list: str) -> Sources:
-    """Sources of a data set that data_scripts/own_camera.py made.
-
-    Raises:
-        InputError: `root` is no such data set, or its frames are of quite another shape than the profile's hr_size.
-    """
-    make = "python data_scripts/own_camera.py VIDEO --out DIR makes one"
-    if not root:
-        raise InputError(f"profile {run.profile.name} trains on a data set of your own camera: give KITTI_ROOT=DIR; {make}")
-    record, data = own.read_record(root), run.profile.data
-    if record is None:
-        raise InputError(f"KITTI_ROOT {root}: holds no {own.RECORD}, so it is no data set of your own camera; {make}")
-    camera, (height, width) = record["camera"], data.hr_size
-    squeezed = camera["width"] / camera["height"] * height / width
-    if not 1 / MOST_SQUEEZED < squeezed < MOST_SQUEEZED:
-        raise InputError(
-            f"profile {run.profile.name}: hr_size {height}x{width} squeezes frames of {camera['width']}×{camera['height']}; give"
-            f" PROFILE={next(iter(sorted(Path(root).glob('*.yaml'))), 'own.yaml')}, which was written for them, or another hr_size"
-        )
-    lists = Path(root).resolve() / "lists"
-    drives = [line for _, line in numbered_lines(lists / "train_drives.txt")]
-    return Sources(
-        kitti_root=check_root(root).resolve(),
-        test_list=Path(test_list).resolve() if test_list else lists / "test_files.txt",
-        train_drives=tuple(drives),
-    )
-
-
-def kitti_sources(run: Run, kitti_root: str, test_list: str) -> Sources:
-    """Sources of real KITTI; without `kitti_root` the profile's drives are downloaded to `work/kitti`."""
-    data, home = run.profile.data, run.root / "work" / "kitti"
-
-    def listed(name: str | None) -> Path | None:
-        return named_list(name, home / "lists") if name else None
-
-    if not (test_list or data.test_list):
-        raise InputError(f"profile {run.profile.name} names no frames to score: give data.test_list or TEST_LIST")
-    own = Path(test_list or data.test_list)
-    scored = own if test_list or own.is_file() else named_list(data.test_list, home / "lists")
-    train_list = listed(f"{data.train_list}_train" if data.train_list else None)
-    if not kitti_root:
-        needed = {frame.drive for path in (scored, train_list) if path for frame in read_frame_list(path)}
-        needed |= {drive.partition(":")[0] for drive in data.train_drives}
-        cameras = {"image_02", "image_03", *data.cameras, *(d.partition(":")[2] for d in data.train_drives if ":" in d)}
-        download_kitti.download(drive_archives(sorted(needed)), home, cameras=sorted(cameras))
-    return Sources(
-        kitti_root=check_root(kitti_root or home).resolve(),
-        test_list=scored.resolve(),
-        train_list=train_list,
-        static_frames=listed(data.static_frames),
-        test_scenes=listed(data.test_scenes),
-    )
-
-
 def prepare(run: Run) -> Prepared:
     """Write `work/<profile>/prepared`: triplets.csv, test_frames.json, ground_truth.npz, from training frames baseline_truth.npz, and
     odometry.csv where odometry is trained.
 
+    Triplets with a frame that cannot be decoded are left out, and all such frames are named in one message.
+
     Raises:
-        InputError: files are missing (all in one message), or a drive is both trained on and scored.
+        InputError: files are missing (all in one message), a frame to score is broken, a drive is both trained on and scored, or no triplet
+            is left.
     """
     sources = Sources.load(run)
     targets = training_targets(run, sources)
     scored, listed = test_frames(run, sources)
     check_labels(sources, scored)
     check_separate({f.drive for f in targets}, {f.drive for f in scored}, "drives", sources.allow_leak)
-    fitted = laser_frames(sources, targets, run.profile.data.baseline_frames)
-    write_training_index(run, sources, targets)
-    write_identity(run, sources, targets)
+    sequences = odometry_sequences(run, sources)
+    triplets = [triplet_paths(sources.kitti_root, target) for target in targets]
+    films = [path for entry in sequences for path in frame_files(sources.odometry_root, entry).values()]
+    shown = [path for frame in scored if (path := image_path(sources.kitti_root, frame))]
+    broken = broken_frames([*(path for triplet in triplets for path in triplet), *films, *shown])
+    tell_broken(broken, shown)
+    whole = [target for target, triplet in zip(targets, triplets) if not broken.keys() & set(triplet)]
+    if not whole:
+        raise InputError(f"{sources.kitti_root}: none of {len(targets)} triplets can be read; copy or download their frames again")
+    fitted = laser_frames(sources, whole, run.profile.data.baseline_frames)
+    write_targets(run.prepared / "triplets.csv", sources.kitti_root, whole)
+    write_identity(run, sources, whole)
     if run.profile.data.has_truth:
-        _export(run, sources, scored, "ground_truth.npz")
+        export_frames(scored, run.prepared / "ground_truth.npz", kitti=sources.kitti_root)
     else:
         write_no_truth(run, sources, scored)
     (run.prepared / "baseline_truth.npz").unlink(missing_ok=True)
     if fitted:
-        _export(run, sources, fitted, "baseline_truth.npz")
+        export_frames(fitted, run.prepared / "baseline_truth.npz", kitti=sources.kitti_root)
     write_json(run.prepared / "test_frames.json", {"listed": listed, "frames": [list(frame) for frame in scored]})
-    return Prepared(len(targets), len(scored), listed, len(fitted), write_odometry(run, sources))
+    path = run.prepared / "odometry.csv"
+    path.unlink(missing_ok=True)
+    odometry = write_odometry_index(path, sources.odometry_root, sequences, broken) if sequences else 0
+    return Prepared(len(whole), len(scored), listed, len(fitted), odometry)
 
 
-def _export(run: Run, sources: Sources, frames: list[Frame], name: str) -> None:
-    sides = {camera: side for side, camera in CAMERA_OF_SIDE.items()}
-    frame_list = run.prepared / Path(name).with_suffix(".txt")
-    write_text(frame_list, "".join(f"{f.drive} {f.index:010d} {sides[f.camera]}\n" for f in frames))
-    export_depth.export(sources.kitti_root, frame_list, run.prepared / name, camera_z=False, improved=None, allow_missing=False)
+def broken_frames(paths: Iterable[Path]) -> dict[Path, str]:
+    """Why, of the images that cannot be decoded; each is decoded once, side by side."""
+    paths = list(dict.fromkeys(paths))
+
+    def trouble(path: Path) -> str | None:
+        try:
+            read_image(path)
+        except InputError as error:
+            return str(error)
+        return None
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        # a bar in a pipe would break the one-line error; of many frames it is worth it
+        found = tqdm(pool.map(trouble, paths), "decoding", len(paths), unit="frame", disable=None if len(paths) < 2000 else False)
+        return {path: why for path, why in zip(paths, found) if why}
+
+
+def tell_broken(broken: dict[Path, str], scored: Sequence[Path]) -> None:
+    """Say which frames are broken, all in one message.
+
+    Raises:
+        InputError: one of them is to be scored.
+    """
+    named = "; ".join(broken.values())
+    if to_score := [path for path in scored if path in broken]:
+        raise InputError(f"{len(to_score)} frames to score cannot be decoded, and {len(broken) - len(to_score)} others: {named}")
+    if broken:
+        print(f"{len(broken)} frames cannot be decoded and are left out with their triplets: {named}")
+
+
+def triplet_paths(root: Path, target: Frame) -> list[Path]:
+    """Image files of a target and its neighbours."""
+    frames = [target._replace(index=target.index + offset) for offset in (0, -1, 1)]
+    return [path for frame in frames if (path := image_path(root, frame))]
+
+
+def training_targets(run: Run, sources: Sources) -> list[Frame]:
+    """Targets of the training triplets: a field's list unchanged, or the drives of the profile.
+
+    Raises:
+        InputError: frames are missing (all in one message), a training drive is a test drive, or nothing is left.
+    """
+    data, root = run.profile.data, check_root(sources.kitti_root)
+    static = read_static_frames(sources.static_frames) if sources.static_frames else set()
+    scenes = read_test_scenes(sources.test_scenes) if sources.test_scenes else set()
+    if sources.train_list:
+        targets = read_frame_list(sources.train_list)
+        missing = missing_neighbours(root, targets)
+        if missing:
+            raise missing_files_error("to train on", root, [(frame, frame.camera) for frame in missing])
+        return targets
+    return drive_triplets(root, data.train_drives or sources.train_drives, data.cameras, static, scenes)
+
+
+def test_frames(run: Run, sources: Sources) -> tuple[list[Frame], int]:
+    """Frames to score, those with image and laser scan, and how many the list names; of an own camera frames to show.
+
+    Raises:
+        InputError: frames of the list are missing and the profile does not allow it, or all are.
+    """
+    listed = read_frame_list(sources.test_list)
+    root = sources.kitti_root
+    missing = [(f, f.camera) for f in listed if image_path(root, f) is None]
+    if run.profile.data.has_truth:
+        missing += [(f, "velodyne_points") for f in listed if not velodyne_path(root, f).is_file()]
+    gone = {frame for frame, _ in missing}
+    if missing and (not run.profile.data.allow_missing or len(gone) == len(set(listed))):
+        raise missing_files_error("to score (`allow_missing: true` in the profile's `data` scores the rest)", root, missing)
+    return [f for f in listed if f not in gone], len(listed)
+
+
+def laser_frames(sources: Sources, targets: Sequence[Frame], most: int) -> list[Frame]:
+    """Up to `most` training-side left frames that have a laser scan, evenly spread, to fit the baselines without learning on."""
+    scanned = [f for f in targets if f.camera == "image_02" and velodyne_path(sources.kitti_root, f).is_file()]
+    chosen = np.unique(np.linspace(0, len(scanned) - 1, min(most, len(scanned))).round().astype(int))
+    return [scanned[i] for i in chosen]
+
+
+def write_identity(run: Run, sources: Sources, targets: Sequence[Frame]) -> Path:
+    """Write `prepared/identity.json`: which world or which calibrations the triplets are of, since their names alone do not tell."""
+    root, world = sources.kitti_root, sources.kitti_root.parent / "world.json"
+    files = [world] if run.profile.world else [root / date / "calib_cam_to_cam.txt" for date in sorted({f.date for f in targets})]
+    path = run.prepared / "identity.json"
+    own = {} if run.profile.data.has_truth else {RECORD: file_digest(root / RECORD)}
+    write_json(path, {file.parent.name: file_digest(file) for file in files} | own)
+    return path
+
+
+def write_no_truth(run: Run, sources: Sources, scored: Sequence[Frame]) -> None:
+    """Write `prepared/ground_truth.npz` of an own camera: maps of the frames' sizes without a measurement (0) in them."""
+    images = [path for frame in scored if (path := image_path(sources.kitti_root, frame))]
+    save_ground_truth(run.prepared / "ground_truth.npz", (np.zeros(read_image(path).shape[:2], np.float32) for path in images))
+
+
+def odometry_sequences(run: Run, sources: Sources) -> list[str]:
+    """Odometry sequences to train on; none where there are no such variants or frames.
+
+    Raises:
+        InputError: a sequence to train on or to score is not there, or is both.
+    """
+    if sources.odometry_root is None or not run.profile.trained_on("odometry"):
+        return []
+    root, (train, test) = check_odometry_root(sources.odometry_root), run.profile.odometry_sequences()
+    for entry in test:
+        frame_files(root, entry)
+        if not (path_of := poses_path(root, entry)).is_file():
+            raise InputError(f"{path_of}: the true poses of sequence {entry}, which is to be scored, are missing; download them first")
+    check_separate([sequence_of(e)[0] for e in train], [sequence_of(e)[0] for e in test], "sequences", sources.allow_leak)
+    return train
+
+
+def check_labels(sources: Sources, scored: Sequence[Frame]) -> None:
+    """Make sure that every scored frame has a label map, where there are label maps.
+
+    Raises:
+        InputError: some have none; the first is named.
+    """
+    root = sources.labels_root
+    missing = [path for frame in scored if root and not (path := label_path(root, frame)).is_file()]
+    if missing:
+        raise InputError(
+            f"{missing[0]}: no label map, nor have {len(missing) - 1} other scored frames; make them with data_scripts/export_labels.py"
+        )
+
+
+def check_separate(train: Iterable[str], test: Iterable[str], what: str, allow_leak: bool) -> None:
+    """Refuse to score drives or sequences that are trained on, unless it is allowed.
+
+    Raises:
+        InputError: naming them.
+    """
+    shared = sorted(set(train) & set(test))
+    if shared and not allow_leak:
+        raise InputError(
+            f"{what} {', '.join(shared)} are both trained on and scored: take them out of the training or of the test list,"
+            " or give --allow-leak (make reproduce ALLOW_LEAK=1), which marks the results"
+        )
 
 
 def main(argv: list[str] | None = None) -> int:

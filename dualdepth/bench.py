@@ -20,19 +20,15 @@ from torch import nn
 from torch.utils.data import default_collate
 from tqdm import tqdm
 
-from dualdepth.atomic import write_text
-from dualdepth.bench_runtimes import runtimes
-from dualdepth.config import Profile, load_profile
 from dualdepth.data.loading import TripletDataset
 from dualdepth.data.triplets import Triplet
+from dualdepth.device import Precision, device_name, has_bf16, keep_freed_memory
 from dualdepth.evaluation.cost import latency
-from dualdepth.hr_stage import HRStage
-from dualdepth.memory import keep_freed_memory
+from dualdepth.files import write_text
 from dualdepth.networks.architecture import Architecture
 from dualdepth.networks.pose_net import PoseNet
-from dualdepth.precision import Precision, has_bf16
-from dualdepth.results import device_name
-from dualdepth.stages import LRStage
+from dualdepth.profile import Profile, load_profile
+from dualdepth.training.stages import Stage
 
 RAW_SIZE = (375, 1242)
 """KITTI's frames, (height, width)."""
@@ -64,12 +60,12 @@ def write_frames(folder: Path) -> Triplet:
 
 def make_net(name: str) -> nn.Module:
     """A depth network for high resolution with new weights: `dual` with the paper's ResNet50, or an encoder's name."""
-    return (Architecture("dual", "resnet50") if name == "dual" else Architecture("single", name)).build()
+    return (Architecture(network="dual", encoder="resnet50") if name == "dual" else Architecture(network="single", encoder=name)).build()
 
 
 def make_stage(name: str, profile: Profile) -> nn.Module:
     """A stage with new weights: `lr` with the profile's encoder, or stage 2 of a network for high resolution."""
-    return LRStage(profile) if name == "lr" else HRStage(profile, make_net(name), PoseNet())
+    return Stage(profile) if name == "lr" else Stage(profile, make_net(name), PoseNet())
 
 
 class StepTimer:
@@ -157,7 +153,6 @@ def bench(encoder: str, repeats: int) -> pd.DataFrame:
         rows.append(("  loading a batch on one core / step", load * training.lr.batch_size / chosen["step"], "ratio"))
         rows += high_resolution_steps(profile, batch, device, max(repeats // 2, 1), bar)
     rows += inference(device, repeats, precisions)
-    rows += alone(runtimes, repeats)
     return pd.DataFrame(rows, columns=["what", "value", "unit"]).assign(device=device_name())
 
 

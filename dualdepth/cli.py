@@ -9,9 +9,7 @@ from dualdepth.commands.evaluate_depth import add_evaluate_depth
 from dualdepth.commands.evaluate_odometry import add_evaluate_odometry
 from dualdepth.commands.export import add_export
 from dualdepth.commands.predict import add_predict
-from dualdepth.commands.replay import add_replay
 from dualdepth.commands.reproduce import add_notebook, add_reproduce
-from dualdepth.commands.status import add_status
 from dualdepth.commands.train import add_train
 from dualdepth.errors import exit_on_input_error
 
@@ -35,10 +33,8 @@ def build_parser() -> argparse.ArgumentParser:
     add_evaluate_depth(kinds)
     add_evaluate_odometry(kinds)
     add_reproduce(commands)
-    add_status(commands)
     add_train(commands)
     add_predict(commands)
-    add_replay(commands)
     add_export(commands)
     add_notebook(commands)
     return parser

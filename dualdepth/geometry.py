@@ -56,7 +56,7 @@ def pixel_grid(height: int, width: int, device: torch.device | None = None) -> T
 
 
 def reproject(disparity: Tensor, transform: Tensor, intrinsics: Tensor) -> tuple[Tensor, Tensor]:
-    """Where each target pixel is seen in the source view (paper, equation 1, divided by the depth so that infinity is no pole).
+    """Where each target pixel is seen in the source view (paper, equation 1, written in disparity, so that points at infinity stay finite).
 
         p_s ~ K T D(p) K⁻¹ p  =  D(p) · (K R K⁻¹ p + K t / D(p))
 
@@ -91,3 +91,13 @@ def sample(image: Tensor, pixel: Tensor) -> Tensor:
     size = torch.tensor([image.shape[-1], image.shape[-2]], device=image.device, dtype=torch.float32)
     normalised = (2.0 * pixel + 1.0) / size - 1.0
     return F.grid_sample(image, normalised, mode="bilinear", padding_mode="border", align_corners=False)
+
+
+def to_unit(images: Tensor) -> Tensor:
+    """Bytes → float32 in [0, 1]."""
+    return images.float().div_(255.0)
+
+
+def low_resolution(images: Tensor) -> Tensor:
+    """LR-Net's view (…, 3, H/3, W/3): exactly HR-Net's image (…, 3, H, W) averaged 3×3."""
+    return F.avg_pool2d(images.flatten(0, -4), 3).unflatten(0, images.shape[:-3])

@@ -7,6 +7,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from dualdepth.geometry import pose_matrix, reproject, resize_intrinsics, sample
+from dualdepth.settings import Loss
 
 SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2
 
@@ -64,15 +65,23 @@ def feature_error(target: Tensor, synthesized: Tensor) -> Tensor:
     return ((target - synthesized) ** 2).sum(dim=1, keepdim=True).add(1e-8).sqrt()
 
 
-def mean_of_minimum(errors: Tensor, valid: Tensor) -> Tensor:
-    """Mean over pixels of the minimum over sources: errors and validity (B, S, H, W) → scalar.
+def minimum_over_sources(errors: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
+    """Smallest error among the sources that see a pixel: errors and validity (B, S, H, W) → (B, H, W), and where any source sees it.
 
-    Invalid sources cannot be the minimum; a pixel without a valid source contributes nothing, and without any such pixel
-    the loss is 0.
+    Invalid sources cannot be the minimum; it is 0 at a pixel without a valid source.
     """
-    minimum = errors.masked_fill(~valid, torch.inf).amin(dim=1)
     seen = valid.any(dim=1)
-    return minimum.masked_fill(~seen, 0.0).sum() / seen.sum().clamp(min=1)
+    return errors.masked_fill(~valid, torch.inf).amin(dim=1).masked_fill(~seen, 0.0), seen
+
+
+def mean_over_seen(minimum: Tensor, seen: Tensor) -> Tensor:
+    """Mean over the pixels that are seen (scalar); without any such pixel it is 0."""
+    return minimum.sum() / seen.sum().clamp(min=1)
+
+
+def mean_of_minimum(errors: Tensor, valid: Tensor) -> Tensor:
+    """Mean over pixels of the minimum over sources: errors and validity (B, S, H, W) → scalar."""
+    return mean_over_seen(*minimum_over_sources(errors, valid))
 
 
 def smoothness(disparity: Tensor, image: Tensor) -> Tensor:
@@ -106,12 +115,8 @@ def total_loss(
     intrinsics: Tensor,
     disparities: list[Tensor],
     poses: Tensor,
-    *,
-    weights: tuple[float, float, float],
-    alpha: float,
-    mean_disparity: float,
+    settings: Loss,
     features: tuple[Tensor, Tensor] | None = None,
-    automask: bool = False,
 ) -> Losses:
     """λ1 L_ph + λ2 L_smooth + λ3 L_fr (paper, section "Loss"), each scale compared at its own size with area-shrunk images.
 
@@ -120,16 +125,14 @@ def total_loss(
         intrinsics: (B, 3, 3) at this size.
         disparities: of the target, (B, 1, H/2^s, W/2^s) for s = 0, 1, …
         poses: (B, S, 6), target → source, in the unit of the normalised depth.
-        weights: λ1, λ2 (halved at each coarser scale), λ3.
-        alpha: share of SSIM.
-        mean_disparity: what the spatial mean of the finest disparity is divided to, per image, with gradient (DDVO).
+        settings: λ1, λ2 (halved at each coarser scale), λ3; α; the mean that the finest disparity is divided to, per image, with gradient
+            (DDVO); whether, beyond the paper, the unwarped sources take part in the minimum.
         features: target's (B, C, H, W) and sources' (B, S, C, H, W) for the feature reconstruction loss; None leaves it out.
-        automask: beyond the paper: the unwarped sources take part in the minimum.
     """
     images, disparities = images.float(), [d.float() for d in disparities]
     sources = images.shape[1] - 1
     transforms = pose_matrix(poses.float()).flatten(0, 1)
-    norm = mean_disparity / disparities[0].mean(dim=(2, 3), keepdim=True)
+    norm = settings.mean_disparity / disparities[0].mean(dim=(2, 3), keepdim=True)
     zero = images.new_zeros(())
     photometric, smooth, feature = zero, zero, zero
     for scale, disparity in enumerate(disparities):
@@ -142,21 +145,20 @@ def total_loss(
             resize_intrinsics(intrinsics, 0.5**scale, 0.5**scale).repeat_interleave(sources, 0),
         )
         synthesized = sample(views, pixel)
-        errors = photometric_error(target, synthesized, alpha).unflatten(0, (-1, sources)).squeeze(2)
+        errors = photometric_error(target, synthesized, settings.alpha).unflatten(0, (-1, sources)).squeeze(2)
         valid = valid.unflatten(0, (-1, sources)).squeeze(2)
+        minimum, seen = minimum_over_sources(errors, valid)
         if scale == 0:
-            finest = errors, valid, synthesized.unflatten(0, (-1, sources))[:, 0]
+            finest = minimum, seen, synthesized.unflatten(0, (-1, sources))[:, 0]
             if features is not None:
                 warped = sample(features[1].float().flatten(0, 1), pixel)
                 distance = feature_error(features[0].float().repeat_interleave(sources, 0), warped)
                 feature = mean_of_minimum(distance.unflatten(0, (-1, sources)).squeeze(2), valid)
-        if automask:
-            still = photometric_error(target, views, alpha).unflatten(0, (-1, sources)).squeeze(2)
-            valid = valid & (errors < still.amin(dim=1, keepdim=True))
-        photometric = photometric + mean_of_minimum(errors, valid) / len(disparities)
+        if settings.beyond_paper_automask:
+            still = photometric_error(target, views, settings.alpha).unflatten(0, (-1, sources)).squeeze(2)
+            minimum, seen = minimum_over_sources(errors, valid & (errors < still.amin(dim=1, keepdim=True)))
+        photometric = photometric + mean_over_seen(minimum, seen) / len(disparities)
         smooth = smooth + smoothness(disparity, target) * 0.5**scale / len(disparities)
-    errors, valid, synthesized = finest
-    seen = valid.any(dim=1, keepdim=True)
-    minimum = errors.masked_fill(~valid, torch.inf).amin(dim=1, keepdim=True).masked_fill(~seen, 0.0)
-    total = weights[0] * photometric + weights[1] * smooth + weights[2] * feature
-    return Losses(total, photometric, smooth, feature, synthesized.detach(), minimum.detach(), seen.float().mean())
+    minimum, seen, synthesized = finest
+    total = settings.photometric * photometric + settings.smoothness * smooth + settings.feature * feature
+    return Losses(total, photometric, smooth, feature, synthesized.detach(), minimum[:, None].detach(), seen.float().mean())

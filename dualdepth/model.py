@@ -2,26 +2,25 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import torch
 from huggingface_hub import ModelCard, ModelHubMixin, hf_hub_download
 from torch import nn
 
-from dualdepth.checkpoints import HUB_CARD, load_card, save_weights
-from dualdepth.data.augmentation import resize
+from dualdepth.data.frames import resample
 from dualdepth.data.kitti import read_image
-from dualdepth.data.loading import low_resolution, to_unit
+from dualdepth.device import Precision, choose_device, inference_precision
 from dualdepth.errors import InputError
-from dualdepth.evaluation.depth import resized
+from dualdepth.evaluation.depth import resize_bilinear
+from dualdepth.geometry import low_resolution, to_unit
+from dualdepth.inference.predict import load_depth_net
 from dualdepth.networks.architecture import Architecture
-from dualdepth.precision import Precision, has_bf16
-from dualdepth.predict import load_depth_net
+from dualdepth.training.weights import HUB_CARD, load_card, save_weights
 
 UNIT = 16.0
-"""Depth = 16 / disparity: relative depth has no unit of its own, and by this one it begins at 1.6, so that depth × 256, as KITTI's
-16-bit PNG has it, resolves the nearest to 0.25 % and reaches to 160 times as far (1600, the network's last, is beyond)."""
+"""Relative depth is reported as 16 / disparity (1.6 … 1600). Stored as uint16 × 256, as KITTI has it, that resolves near depths to 0.25 %."""
 WEIGHTS = "model.safetensors"
 README = """---
 library_name: dualdepth
@@ -82,13 +81,13 @@ class DepthModel(ModelHubMixin):
         precision: Precision | None = None,
     ) -> None:
         try:
-            architecture = Architecture(**{name: card[name] for name in Architecture().words() if name in card})
+            architecture = Architecture.of_card(card)
             height, width = map(int, card["hr_size"])
             if min(height, width) < 192 or height % 96 or width % 96:
                 raise ValueError(f"hr_size [{height}, {width}]: both sides must be multiples of 96, at least 192")
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"the card names no network of this project ({error}); give network and hr_size") from None
-        self.card = card | architecture.words()
+        self.card = card | architecture.model_dump()
         """What is known of the weights."""
         self.size = height, width
         """(height, width) that images are resized to."""
@@ -126,8 +125,10 @@ class DepthModel(ModelHubMixin):
     def predict_batch(self, images: Sequence[str | Path | np.ndarray]) -> list[np.ndarray]:
         """Depths of some images, of any sizes, computed together; see `predict`."""
         arrays = [_rgb(image) for image in images]
-        views = np.stack([resize(array, self.size) for array in arrays]).transpose(0, 3, 1, 2)
-        return [resized(np.float32(UNIT) / disparity, array.shape[:2]) for disparity, array in zip(self._disparities(views), arrays)]
+        views = np.stack([resample(array, self.size) for array in arrays]).transpose(0, 3, 1, 2)
+        return [
+            resize_bilinear(np.float32(UNIT) / disparity, array.shape[:2]) for disparity, array in zip(self._disparities(views), arrays)
+        ]
 
     @torch.inference_mode()
     def _disparities(self, views: np.ndarray) -> np.ndarray:
@@ -217,38 +218,6 @@ def load(weights: str | Path, device: str | torch.device | None = None, precisio
     if path.suffix == ".safetensors" and not path.is_dir():
         raise InputError(f"{path}: no such weights; give model.safetensors of a training, its folder, or a name on the model hub")
     return DepthModel.from_pretrained(weights, device=device, precision=precision)
-
-
-def choose_device(device: str | torch.device | None) -> torch.device:
-    """The device that is asked for, or for None a CUDA GPU, Apple's, or the CPU, the first that is there.
-
-    Raises:
-        InputError: it is unknown or not to be had here.
-    """
-    there = ["cpu", *(f"cuda:{i}" for i in range(torch.cuda.device_count())), *["mps"] * torch.backends.mps.is_available()]
-    if device is None:
-        return torch.device("cuda" if "cuda:0" in there else there[-1])
-    try:
-        chosen = torch.device(device)
-    except RuntimeError:
-        chosen = None
-    indexed = f"cuda:{chosen.index or 0}" if chosen and chosen.type == "cuda" else str(chosen)
-    if indexed not in there:
-        raise InputError(f"device {str(device)!r} is not to be had; here there are {', '.join(there)}")
-    return chosen
-
-
-def inference_precision(precision: str | None, device: torch.device) -> Precision:
-    """The precision that is asked for, or for None bf16 on a CUDA GPU that computes in it, else float32.
-
-    Raises:
-        InputError: it is unknown.
-    """
-    if precision is None:
-        return "bf16" if device.type == "cuda" and has_bf16(device) else "float32"
-    if precision not in get_args(Precision):
-        raise InputError(f"precision {precision!r} is unknown: choose one of {', '.join(get_args(Precision))}")
-    return precision
 
 
 def _rgb(image: str | Path | np.ndarray) -> np.ndarray:

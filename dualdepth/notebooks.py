@@ -8,10 +8,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-from dualdepth.atomic import atomic_path
 from dualdepth.errors import InputError
-from dualdepth.results import project_root
-from dualdepth.stopping import handed_on
+from dualdepth.files import atomic_path
+from dualdepth.run import project_root
 
 NOT_SHOWN = ("Executing", "Ending", "Input", "Output", "Working directory", "<", "\n")
 """What papermill says of its own, and the text form of pictures and tables, which nobody reads in a terminal."""
@@ -26,7 +25,6 @@ def run_notebook(name: str, out: str | Path, parameters: dict[str, Any]) -> Path
 
     Raises:
         InputError: no such notebook, a parameter that it does not have, or an `InputError` inside it; or its kernel died.
-        SystemExit: it was told to stop by SIGTERM, which the kernel gets, too: a training writes a checkpoint first.
         RuntimeError: any other error inside it.
     """
     import nbformat
@@ -47,8 +45,7 @@ def run_notebook(name: str, out: str | Path, parameters: dict[str, Any]) -> Path
     print(f"▶ {name} ({said})", file=sys.stderr, flush=True)
     began = time.perf_counter()
     failed = out.with_suffix(".failed.ipynb")
-    # the kernel is in a session of its own, where no signal to our process group reaches it
-    with atomic_path(out) as partial, _StreamsShown(), handed_on(lambda child: True, recursive=False) as stop:
+    with atomic_path(out) as partial, _StreamsShown():
         try:
             papermill.execute_notebook(
                 str(source),
@@ -63,12 +60,8 @@ def run_notebook(name: str, out: str | Path, parameters: dict[str, Any]) -> Path
             shutil.copyfile(partial, failed)
             if error.ename in ("InputError", "PermissionError"):
                 raise InputError(error.evalue) from None
-            if error.ename == "SystemExit":  # a training that was told to stop, and wrote a checkpoint
-                raise SystemExit(error.evalue) from None
             raise RuntimeError(f"{source.name} failed in cell {error.cell_index}: {error.ename}: {error.evalue}; see {failed}") from None
         except DeadKernelError:
-            if stop.noted:  # where no training was at work, the kernel just ends
-                raise SystemExit(f"{source.name} was stopped; run the same command to go on") from None
             raise InputError(f"{source.name}: its kernel died, such as for want of memory; run the same command to go on") from None
         notebook = nbformat.read(partial, as_version=4)
         _collapse_progress(notebook)

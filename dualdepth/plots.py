@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from dualdepth.atomic import atomic_path
+from dualdepth.files import atomic_path
 
 DEPTH_MAP = "magma_r"
 """Near is bright, far is dark; logarithmic in depth, so that near and far both show."""

@@ -11,9 +11,9 @@ from pathlib import Path
 import nbformat
 import papermill
 
-from dualdepth.atomic import atomic_path
 from dualdepth.errors import InputError, exit_on_input_error
-from dualdepth.results import Run
+from dualdepth.files import atomic_path
+from dualdepth.run import Run
 
 
 def publish_results(profile: str) -> int:

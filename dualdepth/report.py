@@ -7,13 +7,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pandas as pd
+import yaml
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from dualdepth import paper
-from dualdepth.assumptions import assumptions
-from dualdepth.atomic import write_text
-from dualdepth.results import Run
-from dualdepth.verdicts import NOT_RUN, RULES, compare_numbers, judge_claims
+from dualdepth.files import write_text
+from dualdepth.run import Run
+from dualdepth.settings import Loss
+from dualdepth.staleness import PACKAGE
+from dualdepth.tables.verdicts import NOT_RUN, RULES, compare_numbers, judge_claims
 
 TITLES = {
     "main": "Depth on the Eigen split",
@@ -34,7 +36,7 @@ WORTH = (
     " drives has 0.0163 on sequence 09 and 0.0131 on 10, and the truth with every pose inverted 0.0150 and 0.0088. Over a quarter of a"
     " second every car drives straight on, so this score hardly sees whether it goes forwards. Judge PoseNet by its whole trajectories."
 )
-"""Of the paper's odometry score (PROTOCOLS B3)."""
+"""Of the paper's odometry score (docs/protocols.md, "Odometry")."""
 CAPTIONS = {
     "main_depth": "Frames, laser depth, predicted depth and relative error.",
     "ablation_depth": "Depth of the ablation's networks.",
@@ -84,6 +86,13 @@ CAUTIONS = {
     "directions": "only the direction of each claim is judged, not its size.",
     "numbers": "",
 }
+
+
+def assumptions(loss: Loss) -> list[tuple[str, str, str]]:
+    """(topic, choice, why) of `dualdepth/assumptions.yaml`, with the loss weights of a run."""
+    rows = yaml.safe_load((PACKAGE / "assumptions.yaml").read_text(encoding="utf-8"))
+    weights = f"photometric {loss.photometric:g}, smoothness {loss.smoothness:g}, features {loss.feature:g}"
+    return [(row["topic"], row["choice"].replace("{weights}", weights), row["why"]) for row in rows]
 
 
 def make_report(run: Run) -> Report:
@@ -164,7 +173,7 @@ def footnotes(table: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
 def html(report: Report, name: str) -> str:
     """The page, with everything in it: no file, script or address of elsewhere."""
     environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        loader=FileSystemLoader(PACKAGE), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters |= {"cell": cell, "footnotes": footnotes}
     pictures = {k: base64.b64encode(path.read_bytes()).decode() for k, path in report.figures.items()}

@@ -6,7 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from dualdepth.results import project_root
+from dualdepth.run import project_root
 
 STAND_IN = """#!{python}
 import pathlib, re, sys

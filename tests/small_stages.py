@@ -11,10 +11,10 @@ from safetensors.torch import load_file
 from small_encoder import save_encoder
 from small_kitti import DRIVE, write_calibration, write_drive
 
+from data_scripts.prepare_data import write_identity, write_training_index
 from dualdepth.data.triplets import drive_triplets
-from dualdepth.preparation import Sources, write_identity, write_training_index
-from dualdepth.results import Run
-from dualdepth.trainings import train_variant
+from dualdepth.run import Run, Sources
+from dualdepth.training.variants import train_variant
 
 OTHER = "2011_09_26/2011_09_26_drive_0002_sync"
 STEPS = 3

@@ -10,10 +10,10 @@ from accelerate.state import AcceleratorState
 from safetensors.torch import load_file
 from small_kitti import DRIVE
 
-from dualdepth.config import load_profile
 from dualdepth.data.triplets import drive_triplets, load_triplets, write_targets
-from dualdepth.stages import LRStage
-from dualdepth.training import train
+from dualdepth.profile import load_profile
+from dualdepth.training.loop import train
+from dualdepth.training.stages import Stage
 
 STEPS = 6
 WIDE = (192, 288)
@@ -57,7 +57,7 @@ def triplets(kitti_root, tmp_path):
 
 @pytest.fixture
 def run(profile_of, triplets, tmp_path):
-    def call(folder="run", make_model=LRStage, profile=None, seed=0, recipe="r", given=None):
+    def call(folder="run", make_model=Stage, profile=None, seed=0, recipe="r", given=None):
         profile = profile or profile_of()
         path = train(
             make_model, profile.training.lr, profile, given or triplets, tmp_path / folder, seed=seed, recipe=recipe, card={"is": "x"}
@@ -71,7 +71,7 @@ def run(profile_of, triplets, tmp_path):
 def at_forward(number, event):
     """A stage that calls `event(output)` on its forward with this number, and gives what that returns."""
 
-    class Stage(LRStage):
+    class Stage(Stage):
         calls = 0
 
         def forward(self, batch):

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from dualdepth.atomic import atomic_path, write_json, write_text
+from dualdepth.files import atomic_path, write_json, write_text
 
 
 def test_a_file_appears_under_its_name_only_when_it_is_whole(tmp_path):

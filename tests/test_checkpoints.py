@@ -8,19 +8,10 @@ import pytest
 import torch
 from torch import nn
 
-from dualdepth import checkpoints
-from dualdepth.checkpoints import (
-    Checkpointer,
-    checkpoint_paths,
-    finished_card,
-    last_checkpoint,
-    load_card,
-    load_checkpoint,
-    load_weights,
-    save_checkpoint,
-    save_weights,
-)
 from dualdepth.errors import InputError
+from dualdepth.training import checkpoints
+from dualdepth.training.checkpoints import Checkpointer, checkpoint_paths, last_checkpoint, load_checkpoint, save_checkpoint
+from dualdepth.training.weights import finished_card, load_card, load_weights, save_weights
 
 
 class Net(nn.Module):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from dualdepth.cli import build_parser, main
-from dualdepth.data.trajectories import read_trajectory, write_trajectory
+from dualdepth.data.odometry import read_trajectory, write_trajectory
 from dualdepth.evaluation.odometry import ALIGNMENTS, snippet_errors, snippets, trajectory_errors
 
 NAMES = ["t_err", "r_err", "ate", "rpe_t", "rpe_r", "snippet_ate_mean", "snippet_ate_std", "n"]

@@ -2,11 +2,11 @@
 
 import pytest
 
-from dualdepth.config import PROFILES, load_profile, standard_variants
 from dualdepth.errors import InputError
 from dualdepth.paper import RECIPE
-from dualdepth.sections import Stage
-from dualdepth.training import learning_rate, total_steps
+from dualdepth.profile import PROFILES, load_profile, standard_variants
+from dualdepth.settings import StageSettings
+from dualdepth.training.loop import learning_rate, total_steps
 
 SHIPPED = sorted(path.stem for path in PROFILES.glob("*.yaml"))
 
@@ -83,14 +83,14 @@ def test_the_learning_rate_steps_down_at_the_papers_epochs():
 
 @pytest.mark.parametrize("total", [4, 40, 396, 2376])
 def test_a_shorter_run_has_the_same_steps_in_proportion(total):
-    rates = [learning_rate(Stage(), step, total) for step in range(total)]
+    rates = [learning_rate(StageSettings(), step, total) for step in range(total)]
     assert rates == [2e-4] * (total // 4) + [1e-4] * (total // 4) + [5e-5] * (total // 2)
 
 
 def test_steps_are_whole_batches_of_all_epochs_unless_cut_short():
-    assert total_steps(Stage(epochs=3), 10) == 6
-    assert total_steps(Stage(epochs=3, max_steps=4), 10) == 4
-    assert total_steps(Stage(epochs=3, max_steps=9), 10) == 6
+    assert total_steps(StageSettings(epochs=3), 10) == 6
+    assert total_steps(StageSettings(epochs=3, max_steps=4), 10) == 4
+    assert total_steps(StageSettings(epochs=3, max_steps=9), 10) == 6
 
 
 def test_an_own_profile_is_named_by_its_file(written):

@@ -25,10 +25,10 @@ from doc_commands import (
     trust,
 )
 
-from dualdepth.config import Profile, load_profile
-from dualdepth.data.trajectories import write_trajectory
+from dualdepth.data.odometry import write_trajectory
 from dualdepth.model import DepthModel
-from dualdepth.training import total_steps
+from dualdepth.profile import Profile, load_profile
+from dualdepth.training.loop import total_steps
 
 DRIVE = "2011_09_26/2011_09_26_drive_0052_sync"
 

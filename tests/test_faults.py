@@ -11,13 +11,13 @@ from small_stages import backbones, run_in, trained  # noqa: F401
 
 from dualdepth.cli import main
 from dualdepth.errors import InputError
-from dualdepth.faults import load_failure, replay, write_failure
-from dualdepth.stages import LRStage
+from dualdepth.training.loop import load_failure, replay, write_failure
+from dualdepth.training.stages import Stage
 
 
 @pytest.fixture
 def stage(trained):  # noqa: F811
-    return LRStage(trained.profile)
+    return Stage(trained.profile)
 
 
 def batch_of(profile, value=None):
@@ -33,7 +33,7 @@ def test_a_kept_batch_is_computed_again_to_the_same_loss(stage, trained, tmp_pat
     batch = batch_of(trained.profile)
     path = write_failure(tmp_path / "failure.pt", "gradient", 7, ["a", "b"], stage.train(), batch, "float32")
     expected = stage(batch).losses.total.item()
-    lines = replay(load_failure(path), LRStage(trained.profile))
+    lines = replay(load_failure(path), Stage(trained.profile))
     assert lines[:3] == ["step 7: gradient was not finite", "frame a", "frame b"]
     assert f"float32: total {expected:.6g}" in "\n".join(lines)
     assert "weights: finite" in lines and "float32: gradients: finite" in lines
@@ -43,14 +43,14 @@ def test_replay_names_what_is_not_finite(stage, trained, tmp_path):  # noqa: F81
     with torch.no_grad():
         stage.pose_net.layers[-1].bias[0] = torch.nan
     path = write_failure(tmp_path / "failure.pt", "loss", 1, ["a", "b"], stage, batch_of(trained.profile, torch.inf), "bf16")
-    text = "\n".join(replay(load_failure(path), LRStage(trained.profile)))
+    text = "\n".join(replay(load_failure(path), Stage(trained.profile)))
     assert "weights: NOT finite in pose_net.layers" in text
     assert "intrinsics: NOT finite" in text
     assert "bf16: total" in text and "float32: total" in text
 
 
 def test_the_command_finds_the_training_by_the_files_place(trained, monkeypatch, tmp_path, capsys):  # noqa: F811
-    stage = LRStage(trained.profile)
+    stage = Stage(trained.profile)
     folder = trained.training("lr", 0)
     path = write_failure(folder / "failure.pt", "loss", 3, [f"{DRIVE} 1"], stage, batch_of(trained.profile), "float32")
     monkeypatch.chdir(trained.root)

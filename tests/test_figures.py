@@ -6,9 +6,20 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
-from dualdepth import figures, plots
+from dualdepth import plots
 from dualdepth.evaluation.objects import POLE
-from dualdepth.figures import around, boundary_window, close_ups, depth_rows, far_errors, far_window, interpolated, overview, pole_window
+from dualdepth.tables import figures
+from dualdepth.tables.figures import (
+    around,
+    boundary_window,
+    close_ups,
+    depth_rows,
+    far_errors,
+    far_window,
+    interpolated,
+    overview,
+    pole_window,
+)
 
 
 def holds(window, row, column):

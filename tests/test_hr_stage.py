@@ -4,14 +4,13 @@ import pytest
 import torch
 from torch import nn
 
-from dualdepth import hr_stage
-from dualdepth.config import load_profile
-from dualdepth.hr_stage import HRStage
 from dualdepth.losses import total_loss
 from dualdepth.networks.decoder import DepthOutput
-from dualdepth.networks.dual_net import DualNet
-from dualdepth.networks.lr_net import LRNet
+from dualdepth.networks.depth_nets import DualNet, LRNet
 from dualdepth.networks.pose_net import PoseNet
+from dualdepth.profile import load_profile
+from dualdepth.training import stages
+from dualdepth.training.stages import Stage
 
 
 class SeenDepth(nn.Module):
@@ -37,7 +36,7 @@ def stage_of(depth_net=None, channels_last=True, **loss):
     profile = load_profile("tiny")
     training = profile.training.model_copy(update={"loss": profile.training.loss.model_copy(update=loss), "channels_last": channels_last})
     torch.manual_seed(0)
-    return HRStage(profile.model_copy(update={"training": training}), depth_net or SeenDepth(), SeenPose())
+    return Stage(profile.model_copy(update={"training": training}), depth_net or SeenDepth(), SeenPose())
 
 
 def batch_of(items=2, size=(96, 192)):
@@ -67,7 +66,7 @@ def dual_of(encoder):
 def asked(monkeypatch):
     """What the losses were asked for: positional arguments and the others, a call each."""
     calls = []
-    monkeypatch.setattr(hr_stage, "total_loss", lambda *a, **k: calls.append((a, k)) or total_loss(*a, **k))
+    monkeypatch.setattr(stages, "total_loss", lambda *a, **k: calls.append((a, k)) or total_loss(*a, **k))
     return calls
 
 

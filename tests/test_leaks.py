@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 import torch
 
-from dualdepth.checkpoints import save_weights
 from dualdepth.cli import main
 from dualdepth.data.depth_maps import save_ground_truth
-from dualdepth.data.odometry import drives_of
-from dualdepth.data.trajectories import write_trajectory
+from dualdepth.data.odometry import drives_of, write_trajectory
 from dualdepth.errors import InputError
-from dualdepth.leaks import check_leak
+from dualdepth.evaluation.leaks import check_leak
+from dualdepth.training.weights import save_weights
 
 RAW_33 = "2011_09_30/2011_09_30_drive_0033_sync"
 CARD = {"drives": ["2011_09_26/2011_09_26_drive_0001_sync", RAW_33]}

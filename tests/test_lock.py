@@ -9,7 +9,7 @@ import threading
 import pytest
 
 from dualdepth.errors import InputError
-from dualdepth.lock import locked, sign
+from dualdepth.files import locked, sign
 
 HOLDER = """
 import sys, time

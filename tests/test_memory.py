@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from dualdepth import memory
+from dualdepth import device
 
 COUNT = """
 import resource, sys
@@ -36,4 +36,4 @@ def test_another_allocator_is_left_alone(monkeypatch, library):
         return library
 
     monkeypatch.setattr(ctypes, "CDLL", load)
-    assert memory.keep_freed_memory() is False
+    assert device.keep_freed_memory() is False

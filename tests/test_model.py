@@ -12,10 +12,10 @@ from small_kitti import wall
 from torch import nn
 
 import dualdepth
-from dualdepth.checkpoints import save_weights
+from dualdepth.inference.predict import load_depth_net, predict_disparities
 from dualdepth.model import UNIT, choose_device, inference_precision
 from dualdepth.networks.decoder import DepthOutput
-from dualdepth.predict import load_depth_net, predict_disparities
+from dualdepth.training.weights import save_weights
 
 CARD = {
     "network": "hr",

@@ -5,7 +5,7 @@ import re
 import nbformat
 import pytest
 
-from dualdepth.results import project_root
+from dualdepth.run import project_root
 
 NOTEBOOKS = sorted((project_root() / "notebooks").glob("*.ipynb"))
 UNCHECKED = "nbval-ignore-output"

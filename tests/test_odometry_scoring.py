@@ -9,17 +9,20 @@ import torch
 from scipy.spatial.transform import Rotation
 from small_kitti import write_calibration, write_sequence
 
-from dualdepth import odometry_scoring
-from dualdepth.checkpoints import save_weights
-from dualdepth.data.augmentation import resize
+from dualdepth.data.frames import resample
 from dualdepth.data.kitti import read_image
-from dualdepth.data.trajectories import read_trajectory, write_trajectory
+from dualdepth.data.odometry import read_trajectory, write_trajectory
 from dualdepth.errors import InputError
 from dualdepth.evaluation.odometry import relative, snippet_errors, snippets
 from dualdepth.geometry import pose_matrix
+from dualdepth.inference.predict import PoseModel, predict_poses
 from dualdepth.networks.architecture import Architecture
 from dualdepth.networks.pose_net import PoseNet
-from dualdepth.odometry_scoring import (
+from dualdepth.run import Run, Sources
+from dualdepth.tables import odometry as table_module
+from dualdepth.tables import odometry_scoring
+from dualdepth.tables.odometry import odometry_claims, odometry_table, trajectory_table
+from dualdepth.tables.odometry_scoring import (
     chain,
     control_poses,
     predicted_motions,
@@ -28,11 +31,7 @@ from dualdepth.odometry_scoring import (
     triplet_snippets,
     true_trajectory,
 )
-from dualdepth.predict import PoseModel, predict_poses
-from dualdepth.preparation import Sources
-from dualdepth.results import Run
-from dualdepth.tables import odometry as table_module
-from dualdepth.tables.odometry import odometry_claims, odometry_table, trajectory_table
+from dualdepth.training.weights import save_weights
 
 SIZE = (192, 192)
 
@@ -87,7 +86,7 @@ def test_each_triplet_is_seen_once_target_first(model, tmp_path, batch_size):
     files = sorted((tmp_path / "sequences/09/image_2").iterdir())
     motions = predict_poses(model, files, batch_size=batch_size)
     assert motions.shape == (5, 2, 4, 4) and motions.dtype == np.float64
-    images = [torch.from_numpy(resize(read_image(f), SIZE)).permute(2, 0, 1).float() / 255 for f in files]
+    images = [torch.from_numpy(resample(read_image(f), SIZE)).permute(2, 0, 1).float() / 255 for f in files]
     small = [torch.nn.functional.avg_pool2d(i[None], 3)[0] for i in images]
     for k in range(1, 6):
         with torch.inference_mode():

@@ -10,20 +10,20 @@ import numpy as np
 import onnx
 import pytest
 import torch
+from dualdepth.onnx_session import load_onnx
 from torch import nn
 
 from data_scripts.miniature.frames import write_shot
 from data_scripts.miniature.plan import plan_world
-from dualdepth import onnx_export
-from dualdepth.checkpoints import save_weights
 from dualdepth.cli import main
 from dualdepth.errors import InputError
+from dualdepth.inference import export
+from dualdepth.inference.export import TOLERANCE, ImageToDisparity, made_up_images
+from dualdepth.inference.predict import load_depth_net, predict_disparities
 from dualdepth.networks.architecture import Architecture
-from dualdepth.onnx_export import TOLERANCE, ImageToDisparity, made_up_images
-from dualdepth.onnx_session import load_onnx
-from dualdepth.predict import load_depth_net, predict_disparities
-from dualdepth.results import project_root
-from dualdepth.sections import World
+from dualdepth.run import project_root
+from dualdepth.settings import World
+from dualdepth.training.weights import save_weights
 
 SIZE = (192, 288)
 GRAPHS = {
@@ -104,13 +104,13 @@ def hr_weights(save):
 @pytest.fixture(scope="module")
 def hr_file(hr_weights, tmp_path_factory):
     """These, exported: some seconds, so once."""
-    return onnx_export.export_onnx(hr_weights, tmp_path_factory.mktemp("file") / "depth.onnx").path
+    return export.export_onnx(hr_weights, tmp_path_factory.mktemp("file") / "depth.onnx").path
 
 
 @pytest.fixture
 def written_already(hr_file, monkeypatch):
     """An export that writes that file."""
-    monkeypatch.setattr(onnx_export, "write_onnx", lambda net, size, path, words: shutil.copy(hr_file, path))
+    monkeypatch.setattr(export, "write_onnx", lambda net, size, path, words: shutil.copy(hr_file, path))
 
 
 @pytest.mark.slow
@@ -127,7 +127,7 @@ def test_every_network_gives_pytorchs_disparities_in_any_batch(save, frames, tmp
     depth_net = load_depth_net(weights)
     expected = predict_disparities(depth_net, frames)  # from the files: resized, and averaged for LR-Net
     assert expected.max() > 1.5 * expected.min()
-    images = np.stack([onnx_export._read(path, SIZE) for path in frames])
+    images = np.stack([export._read(path, SIZE) for path in frames])
     loaded = load_onnx(out)
     assert loaded.output_size == size
     for found in (loaded(images), np.concatenate([loaded(image[None]) for image in images])):
@@ -199,7 +199,7 @@ def test_damaged_weights_are_refused(hr_weights, tmp_path):
     (tmp_path / "w.safetensors").write_bytes(hr_weights.read_bytes()[:-100])
     (tmp_path / "w.json").write_bytes(hr_weights.with_suffix(".json").read_bytes())
     with pytest.raises(InputError, match=r"w\.safetensors: "):
-        onnx_export.export_onnx(tmp_path / "w.safetensors", tmp_path / "depth.onnx")
+        export.export_onnx(tmp_path / "w.safetensors", tmp_path / "depth.onnx")
     assert not (tmp_path / "depth.onnx").exists()
 
 
@@ -208,7 +208,7 @@ def test_a_card_of_a_size_that_the_network_cannot_see_is_refused(hr_weights, tmp
     card = json.loads(hr_weights.with_suffix(".json").read_text()) | {"hr_size": [33, 33]}
     (tmp_path / "w.json").write_text(json.dumps(card))
     with pytest.raises(InputError, match=r"w\.safetensors: its network cannot see images of its card's \(33, 33\)"):
-        onnx_export.export_onnx(tmp_path / "w.safetensors", tmp_path / "depth.onnx")
+        export.export_onnx(tmp_path / "w.safetensors", tmp_path / "depth.onnx")
 
 
 @pytest.mark.parametrize("missing", ["onnx", "onnxscript"])
@@ -216,7 +216,7 @@ def test_without_the_packages_it_says_how_to_get_them(hr_weights, tmp_path, monk
     find = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == missing else find(name))
     with pytest.raises(InputError, match=f"package {missing} is not installed; `pip install onnx onnxscript onnxruntime`"):
-        onnx_export.export_onnx(hr_weights, tmp_path / "depth.onnx")
+        export.export_onnx(hr_weights, tmp_path / "depth.onnx")
 
 
 @pytest.mark.usefixtures("written_already")

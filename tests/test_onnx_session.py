@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from dualdepth.onnx_session import load_onnx
 from onnx import TensorProto
 from small_onnx import HEIGHT, WIDTH, write
 
 from dualdepth.errors import InputError
-from dualdepth.onnx_session import load_onnx
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from dualdepth.precision import choose_precision, has_bf16
+from dualdepth.device import choose_precision, has_bf16
 
 CPU, GPU = torch.device("cpu"), torch.device("cuda")
 

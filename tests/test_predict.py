@@ -10,15 +10,13 @@ import torch
 from small_kitti import wall
 from torch import nn
 
-from dualdepth.checkpoints import save_weights
-from dualdepth.data.augmentation import resize
+from dualdepth.data.frames import resample
 from dualdepth.errors import InputError
+from dualdepth.inference.predict import DepthNet, load_depth_net, predict_disparities
 from dualdepth.networks.architecture import Architecture, Network
 from dualdepth.networks.decoder import DepthOutput
-from dualdepth.networks.dual_net import DualNet
-from dualdepth.networks.hr_net import HRNet
-from dualdepth.networks.lr_net import LRNet
-from dualdepth.predict import DepthNet, load_depth_net, predict_disparities
+from dualdepth.networks.depth_nets import DualNet, HRNet, LRNet
+from dualdepth.training.weights import save_weights
 
 SIZE = (192, 288)
 NETWORKS = get_args(Network)
@@ -114,7 +112,7 @@ def test_frames_of_another_size_are_resized_whole(tmp_path):
     cv2.imwrite(str(path), wall(250, 700))
     seen = Seen()
     predict_disparities(DepthNet(seen, Architecture("dual"), SIZE), [path])
-    expected = resize(cv2.imread(str(path))[..., ::-1], SIZE).transpose(2, 0, 1) / np.float32(255)
+    expected = resample(cv2.imread(str(path))[..., ::-1], SIZE).transpose(2, 0, 1) / np.float32(255)
     np.testing.assert_allclose(seen.image[0], expected, atol=1e-6)
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from dualdepth.errors import InputError
 from dualdepth.publish import publish_notebooks, publish_results
-from dualdepth.results import Run
+from dualdepth.run import Run
 
 KITTI = "about: x\ndata:\n  source: kitti\n  train_list: eigen_zhou\n"
 

@@ -8,12 +8,12 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
+from dualdepth.assumptions import assumptions
 
 from dualdepth import paper, report
-from dualdepth.assumptions import assumptions
 from dualdepth.errors import InputError
 from dualdepth.report import TITLES, cell, html, make_report, shown, write_report
-from dualdepth.results import Run
+from dualdepth.run import Run
 
 
 @pytest.fixture
@@ -155,7 +155,7 @@ def test_cells(value, text):
 
 
 def test_every_figure_of_the_chain_has_a_caption():
-    from dualdepth.results import project_root
+    from dualdepth.run import project_root
 
     saved = set()
     for path in (project_root() / "notebooks").glob("*.ipynb"):

@@ -6,9 +6,11 @@ import json
 import pandas as pd
 import pytest
 
-from dualdepth import results
+from dualdepth import run
 from dualdepth.errors import InputError
-from dualdepth.results import CODE, PACKAGE, Run, code_digest, file_digest, folder_digest, notebook_digest, project_root
+from dualdepth.files import file_digest, folder_digest
+from dualdepth.run import Run, project_root
+from dualdepth.staleness import CODE, PACKAGE, code_digest, notebook_digest
 
 SOURCE = '''"""A module."""
 
@@ -24,8 +26,8 @@ def area(r):
 @pytest.fixture
 def digest_of(tmp_path, monkeypatch):
     """The digest of a step whose only module has the given source."""
-    monkeypatch.setattr(results, "PACKAGE", tmp_path)
-    monkeypatch.setattr(results, "CODE", {"step": ("parts",)})
+    monkeypatch.setattr(run, "PACKAGE", tmp_path)
+    monkeypatch.setattr(run, "CODE", {"step": ("parts",)})
 
     def digest(source, name="parts/circle.py"):
         (tmp_path / name).parent.mkdir(exist_ok=True)

@@ -7,24 +7,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dualdepth import scoring
-from dualdepth.atomic import write_json
 from dualdepth.data.depth_maps import save_ground_truth
 from dualdepth.errors import InputError
 from dualdepth.evaluation.baselines import BASELINES
 from dualdepth.evaluation.depth import METRICS, Protocol, evaluate, valid_pixels
-from dualdepth.preparation import Sources
-from dualdepth.results import Run
-from dualdepth.scoring import (
-    Predictions,
-    dense_truth,
-    label_map,
-    score_baselines,
-    score_training,
-    scored_frames,
-    scored_note,
-)
-from dualdepth.sections import Evaluation
+from dualdepth.files import write_json
+from dualdepth.run import Run, Sources
+from dualdepth.settings import Evaluation
+from dualdepth.tables import scoring
+from dualdepth.tables.scoring import Predictions, dense_truth, label_map, score_baselines, score_training, scored_frames, scored_note
 
 DRIVES = ("2011_09_26/2011_09_26_drive_0001_sync", "2011_09_26/2011_09_26_drive_0002_sync")
 SIZE = (40, 60)

@@ -3,7 +3,7 @@
 import pytest
 from small_chain import SmallChain
 
-from dualdepth.results import project_root
+from dualdepth.run import project_root
 
 TABLES = sorted([path.stem for path in (project_root() / "notebooks").glob("*_table_*.ipynb")] + ["13_figures", "14_report"])
 OF_DEPTH = [page for page in TABLES if page != "12_table_odometry"]

@@ -4,11 +4,11 @@ import pytest
 import torch
 from torch import nn
 
-from dualdepth import stages
-from dualdepth.config import load_profile
 from dualdepth.losses import total_loss
 from dualdepth.networks.decoder import DepthOutput
-from dualdepth.stages import LRStage
+from dualdepth.profile import load_profile
+from dualdepth.training import stages
+from dualdepth.training.stages import Stage
 
 
 class Seen(nn.Module):
@@ -25,7 +25,7 @@ def stage_of(**changes):
     loss = profile.training.loss.model_copy(update={k: v for k, v in changes.items() if k != "augment_first"})
     augmentation = profile.training.augmentation.model_copy(update={"augment_first": changes.get("augment_first", True)})
     training = profile.training.model_copy(update={"loss": loss, "augmentation": augmentation})
-    stage = LRStage(profile.model_copy(update={"training": training}))
+    stage = Stage(profile.model_copy(update={"training": training}))
     stage.depth_net = Seen()
     return stage
 

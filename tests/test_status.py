@@ -9,14 +9,14 @@ from base64 import urlsafe_b64encode
 
 import pytest
 import yaml
+from dualdepth.status import chain_steps
 from small_chain import PROFILE, SmallChain
 
-from dualdepth import ingredients
+from dualdepth import staleness
 from dualdepth.cli import main
-from dualdepth.config import Profile
-from dualdepth.lock import locked
-from dualdepth.results import Run
-from dualdepth.status import chain_steps
+from dualdepth.files import locked
+from dualdepth.profile import Profile
+from dualdepth.run import Run
 
 TRAININGS = {"03_train_lr_lr_seed0", "04_train_hr_dual_seed0", "04_train_hr_resnet18_seed0"}
 
@@ -83,8 +83,8 @@ def test_a_changed_setting_is_named_with_its_values_and_makes_its_steps_stale(ch
 
 
 def test_changed_code_is_named_by_its_module(chain, monkeypatch):
-    of = ingredients._code
-    monkeypatch.setattr(ingredients, "_code", lambda *steps: of(*steps) | ({"hr_stage": "other"} if "train_hr" in steps else {}))
+    of = staleness._code
+    monkeypatch.setattr(staleness, "_code", lambda *steps: of(*steps) | ({"hr_stage": "other"} if "train_hr" in steps else {}))
     found = stale(chain)
     assert {name for name, why in found.items() if why == "code hr_stage changed"} == TRAININGS - {"03_train_lr_lr_seed0"}
     assert "03_train_lr_lr_seed0" not in found

@@ -8,12 +8,12 @@ import torch
 from accelerate.state import AcceleratorState
 from small_training import STEPS, WIDE, equal, profile_of, quiet_torch, run, triplets  # noqa: F401
 
-from dualdepth.checkpoints import checkpoint_paths
+from dualdepth.device import has_bf16
 from dualdepth.errors import InputError
-from dualdepth.precision import has_bf16
-from dualdepth.stages import LRStage
-from dualdepth.training import train
-from dualdepth.training_log import read_log
+from dualdepth.training.checkpoints import checkpoint_paths
+from dualdepth.training.log import read_log
+from dualdepth.training.loop import train
+from dualdepth.training.stages import Stage
 
 # ruff: noqa: F811
 
@@ -109,7 +109,7 @@ def test_steps_of_a_batch_that_is_cut_in_parts_average_the_parts(profile_of, tri
     """Gradients of the parts are averaged, not added: else the step would grow with `accumulate`."""
     seen = []
 
-    class Watched(LRStage):
+    class Watched(Stage):
         def __init__(self, profile):
             super().__init__(profile)
             self.pose_net.layers[-1].bias.register_post_accumulate_grad_hook(lambda p: seen.append(p.grad.clone()))

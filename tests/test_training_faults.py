@@ -2,14 +2,15 @@
 
 import pytest
 import torch
+from dualdepth.data.bad_frames import BadFrames
 from small_kitti import DRIVE
 from small_training import at_forward, equal, kill_softly, profile_of, quiet_torch, run, triplets  # noqa: F401
 
-from dualdepth.checkpoints import last_checkpoint, load_card
-from dualdepth.data.bad_frames import BadFrames
 from dualdepth.data.loading import TripletDataset
 from dualdepth.errors import InputError
-from dualdepth.faults import load_failure
+from dualdepth.training.checkpoints import last_checkpoint
+from dualdepth.training.loop import load_failure
+from dualdepth.training.weights import load_card
 
 # ruff: noqa: F811
 

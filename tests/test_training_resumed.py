@@ -9,10 +9,11 @@ import pytest
 import torch
 from small_training import STEPS, WIDE, at_forward, equal, kill, kill_softly, profile_of, quiet_torch, run, triplets  # noqa: F401
 
-from dualdepth.checkpoints import last_checkpoint, load_card
 from dualdepth.errors import InputError
-from dualdepth.stages import LRStage
-from dualdepth.training_log import read_log
+from dualdepth.training.checkpoints import last_checkpoint
+from dualdepth.training.log import read_log
+from dualdepth.training.stages import Stage
+from dualdepth.training.weights import load_card
 
 # ruff: noqa: F811
 
@@ -44,7 +45,7 @@ def test_a_killed_run_goes_on_from_its_last_checkpoint_to_the_same_weights_and_l
 
 
 def test_random_draws_inside_a_network_are_the_same_after_a_stop(run):
-    class Dropping(LRStage):
+    class Dropping(Stage):
         def forward(self, batch):
             output = super().forward(batch)
             noise = torch.rand(())  # as dropout draws

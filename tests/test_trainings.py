@@ -10,20 +10,19 @@ import torch
 from small_kitti import DRIVE, write_sequence
 from small_stages import OTHER, STEPS, after_stage_1, backbones, change_card, equal, part, quiet_torch, run_in, trained  # noqa: F401
 
-from dualdepth import trainings
-from dualdepth.building import make_stage
-from dualdepth.checkpoints import last_checkpoint, load_card
 from dualdepth.data.odometry import write_odometry_index
 from dualdepth.errors import InputError
-from dualdepth.hr_stage import HRStage
-from dualdepth.lock import locked
+from dualdepth.files import file_digest, locked
+from dualdepth.inference.predict import load_depth_net
 from dualdepth.networks.architecture import Architecture
-from dualdepth.networks.lr_net import LRNet
+from dualdepth.networks.depth_nets import LRNet
 from dualdepth.networks.pose_net import PoseNet
-from dualdepth.predict import load_depth_net
-from dualdepth.preparation import Sources
-from dualdepth.results import file_digest
-from dualdepth.trainings import start_weights, train_variant
+from dualdepth.run import Sources
+from dualdepth.training import variants
+from dualdepth.training.checkpoints import last_checkpoint
+from dualdepth.training.stages import Stage
+from dualdepth.training.variants import make_stage, start_weights, train_variant
+from dualdepth.training.weights import load_card
 
 # ruff: noqa: F811
 
@@ -60,7 +59,7 @@ def test_a_single_network_begins_with_nothing(trained, backbones):
     stage = make_stage(profile, variant, None)
     torch.manual_seed(5)
     depth_net, pose_net = LRNet(backbones.usual), PoseNet()
-    assert isinstance(stage, HRStage)
+    assert isinstance(stage, Stage)
     assert equal(stage.depth_net.state_dict(), depth_net.state_dict())
     assert equal(stage.pose_net.state_dict(), pose_net.state_dict())
 
@@ -118,7 +117,7 @@ def test_whether_imagenets_weights_are_in_it_stands_in_stage_1s_card(after_stage
         cards.append(card)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(trainings, "train", train)
+    monkeypatch.setattr(variants, "train", train)
     run = after_stage_1()
     change_card(run, pretrained=said)
     with pytest.raises(KeyboardInterrupt):
@@ -143,7 +142,7 @@ def test_each_kind_of_network_is_trained_and_read_back(trained, after_stage_1, n
 
 
 def test_what_is_done_is_not_trained_again_but_marked(trained, capsys, monkeypatch):
-    monkeypatch.setattr(HRStage, "forward", lambda *_: pytest.fail("it trains"))
+    monkeypatch.setattr(Stage, "forward", lambda *_: pytest.fail("it trains"))
     weights = trained.weights("dual", 0)
     marker = weights.with_name("trained.json")
     before = weights.stat().st_mtime_ns
@@ -156,7 +155,7 @@ def test_what_is_done_is_not_trained_again_but_marked(trained, capsys, monkeypat
 
 
 def test_what_is_being_trained_is_not_trained_a_second_time_and_whose_it_is_is_said(trained, monkeypatch):
-    monkeypatch.setattr(trainings, "PATIENCE", 0.1)
+    monkeypatch.setattr(variants, "PATIENCE", 0.1)
     with locked(trained.training("dual", 0) / "lock"):
         with pytest.raises(InputError, match=rf"dual/seed0/lock: held by process {os.getpid()} on \S+; wait for it or stop it"):
             train_variant(trained, "dual", 0)
@@ -192,7 +191,7 @@ def test_one_seed_gives_the_same_weights_to_the_bit_wherever_it_is_trained(train
 
 
 def test_a_dual_training_that_was_stopped_and_killed_goes_on_to_the_same_weights(trained, after_stage_1, monkeypatch):
-    run, forward, calls = after_stage_1(), HRStage.forward, []
+    run, forward, calls = after_stage_1(), Stage.forward, []
 
     def interrupted(stage, batch):
         calls.append(batch["name"])
@@ -203,7 +202,7 @@ def test_a_dual_training_that_was_stopped_and_killed_goes_on_to_the_same_weights
             raise KeyboardInterrupt  # as a crash: the checkpoint of step 2 is the last
         return output
 
-    monkeypatch.setattr(HRStage, "forward", interrupted)
+    monkeypatch.setattr(Stage, "forward", interrupted)
     for error, step in ((SystemExit, 1), (KeyboardInterrupt, 2)):
         with pytest.raises(error):
             train_variant(run, "dual", 0)

@@ -4,7 +4,7 @@ import pytest
 from small_stages import after_stage_1, backbones, change_card, quiet_torch, run_in, trained  # noqa: F401
 
 from dualdepth.errors import InputError
-from dualdepth.trainings import train_variant
+from dualdepth.training.variants import train_variant
 
 # ruff: noqa: F811
 

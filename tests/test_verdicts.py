@@ -4,9 +4,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dualdepth import paper, verdicts
-from dualdepth.results import project_root
-from dualdepth.verdicts import (
+from dualdepth import paper
+from dualdepth.run import project_root
+from dualdepth.tables import verdicts
+from dualdepth.tables.verdicts import (
     CLAIMS,
     NOT_REPRODUCED,
     NOT_RUN,

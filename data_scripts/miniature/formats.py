@@ -1,28 +1,20 @@
 """KITTI's text files and Make3D's laser grids, and the rig that they describe.
 
-The rig is KITTI's: a laser above and behind the camera, an inertial unit in the boot. Camera 2 is the only camera; the
+The rig is KITTI's: a laser above and behind the camera. Camera 2 is the only camera; the
 unrectified one differs from it by the small rotation R_rect_00.
 """
 
 import io
 from collections.abc import Sequence
-from datetime import datetime, timedelta
 
 import numpy as np
 from scipy.io import savemat
-
-from data_scripts.miniature.drives import PERIOD
 
 DATE = "2019_10_27"
 """The recording day of all drives; none of KITTI's, so that nobody takes one for the other."""
 R_RECT = [9.999239e-01, 9.837760e-03, -7.445048e-03, -9.869795e-03, 9.999421e-01, -4.278459e-03, 7.402527e-03, 4.351614e-03, 9.999631e-01]
 LASER_R = [7.533745e-03, -9.999714e-01, -6.166020e-04, 1.480249e-02, 7.280733e-04, -9.998902e-01, 9.998621e-01, 7.523790e-03, 1.480755e-02]
 LASER_T = [-4.069766e-03, -7.631618e-02, -2.717806e-01]
-IMU_R = [9.999976e-01, 7.553071e-04, -2.035826e-03, -7.854027e-04, 9.998898e-01, -1.482298e-02, 2.024406e-03, 1.482454e-02, 9.998881e-01]
-IMU_T = [-8.086759e-01, 3.195559e-01, -7.997231e-01]
-EARTH = 6378137.0
-HOME = (49.015, 8.43)
-"""Latitude and longitude of the world's origin, degrees; x points east and z north there."""
 FARTHEST = 81.0
 """Make3D's laser reports this distance where nothing is met, metres."""
 
@@ -49,7 +41,7 @@ def _line(key: str, values: Sequence[float] | np.ndarray, form: str = "%.6e") ->
 
 
 def calibration_texts(size: tuple[int, int]) -> dict[str, str]:
-    """The three calibration files of a recording day by name, for frames of `size` = (H, W)."""
+    """The calibration files of a recording day by name, for frames of `size` = (H, W)."""
     matrix = intrinsics(size)
     projection = np.hstack([matrix, np.zeros((3, 1))])
     cameras = _line("corner_dist", [9.95e-02])
@@ -62,46 +54,7 @@ def calibration_texts(size: tuple[int, int]) -> dict[str, str]:
     return {
         "calib_cam_to_cam.txt": stamp + cameras,
         "calib_velo_to_cam.txt": laser,
-        "calib_imu_to_velo.txt": stamp + _line("R", IMU_R) + _line("T", IMU_T),
     }
-
-
-def timestamps_text(frames: int) -> str:
-    """One line a frame, nanoseconds written out."""
-    start = datetime(2019, 10, 27, 9)
-    return "".join(f"{start + timedelta(seconds=k * PERIOD):%Y-%m-%d %H:%M:%S.%f}000\n" for k in range(frames))
-
-
-def oxts_texts(poses: np.ndarray) -> list[str]:
-    """The inertial unit's 30 numbers for each of (N, 4, 4) camera poses: KITTI's order, true position, attitude and velocity."""
-    unit = poses @ LASER_TO_CAMERA @ rigid(IMU_R, IMU_T)
-    to_east_north_up = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
-    rotation, position = to_east_north_up @ unit[:, :3, :3], unit[:, :3, 3] @ to_east_north_up.T
-    velocity = np.gradient(position, PERIOD, axis=0) if len(poses) > 1 else 0 * position
-    roll, pitch, yaw = _attitude(rotation)
-    rates = [np.gradient(np.unwrap(angle), PERIOD) if len(poses) > 1 else 0 * angle for angle in (roll, pitch, yaw)]
-    scale = np.cos(np.radians(HOME[0])) * EARTH
-    north = scale * np.log(np.tan(np.radians(90 + HOME[0]) / 2)) + position[:, 1]
-    latitude = 2 * np.degrees(np.arctan(np.exp(north / scale))) - 90
-    longitude = HOME[1] + np.degrees(position[:, 0] / scale)
-    own = np.einsum("nji,nj->ni", rotation, velocity)  # forward, left, up
-    zero, gravity = np.zeros(len(poses)), np.full(len(poses), 9.81)
-    turning = [*rates, *rates]
-    columns = [latitude, longitude, 112 + position[:, 2], roll, pitch, yaw, velocity[:, 1], velocity[:, 0], *own.T]
-    columns += [zero, zero, gravity, zero, zero, gravity, *turning, zero + 0.05, zero + 0.02]
-    return [" ".join(f"{value:.13g}" for value in row) + " 4 8 5 5 0\n" for row in np.stack(columns, -1)]
-
-
-def _attitude(rotation: np.ndarray) -> np.ndarray:
-    """Roll, pitch, yaw of (N, 3, 3) rotations Rz(yaw) Ry(pitch) Rx(roll); (3, N) radians."""
-    pitch = np.arctan2(-rotation[:, 2, 0], np.hypot(rotation[:, 0, 0], rotation[:, 1, 0]))
-    return np.stack([np.arctan2(rotation[:, 2, 1], rotation[:, 2, 2]), pitch, np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])])
-
-
-OXTS_FORMAT = """lat lon alt roll pitch yaw vn ve vf vl vu ax ay az af al au wx wy wz wf wl wu pos_accuracy vel_accuracy
-navstat numsats posmode velmode orimode
-""".replace(" ", "\n")
-"""`oxts/dataformat.txt`: the names of the 30 numbers."""
 
 
 def odometry_calibration_text(size: tuple[int, int]) -> str:

@@ -10,7 +10,7 @@ from data_scripts.miniature import formats
 from data_scripts.miniature.drives import CAMERA_HEIGHT, PERIOD, Drive, camera_pose, drive
 from data_scripts.miniature.frames import Shot
 from data_scripts.miniature.street import Plan, build_street
-from dualdepth.sections import World
+from dualdepth.settings import World
 
 RAW, ODOMETRY, MAKE3D = range(3)
 """Kinds of streets: part of their seeds, so that no two share a street."""
@@ -60,17 +60,6 @@ def _raw_drive(world: World, seed: tuple[int, ...], frames: int, still: tuple[in
     return drive(plan, build_street(plan), world.frame_spacing, frames, still=still)
 
 
-def _raw_texts(work: Work, name: str, ride: Drive, frames: list[int]) -> None:
-    """Timestamps and oxts of a raw drive."""
-    folder = f"kitti_raw/{name}"
-    for sensor in ("image_02", "oxts", "velodyne_points"):
-        work.texts[f"{folder}/{sensor}/timestamps.txt"] = formats.timestamps_text(len(ride.poses))
-    work.texts[f"{folder}/oxts/dataformat.txt"] = formats.OXTS_FORMAT
-    rows = formats.oxts_texts(ride.poses)
-    for k in frames:
-        work.texts[f"{folder}/oxts/data/{k:010d}.txt"] = rows[k]
-
-
 def _raw_shot(world: World, work: Work, name: str, ride: Drive, k: int, scan: bool) -> Shot:
     folder = work.root / "kitti_raw" / name
     return Shot(
@@ -94,7 +83,6 @@ def _train_drive(world: World, work: Work, number: int) -> None:
     ride = _raw_drive(world, (world.train_seed, RAW, number), frames, still)
     scanned = set(np.linspace(0, frames - 1, world.laser_train_frames + 2)[1:-1].astype(int).tolist())
     work.shots += [_raw_shot(world, work, f"{day}/{name}", ride, k, k in scanned) for k in range(frames)]
-    _raw_texts(work, f"{day}/{name}", ride, list(range(frames)))
     work.lists["train_drives"].append(f"{day}/{name}")
     work.lists["static_frames"] += [f"{day} {name} {k:010d}" for k in np.flatnonzero(ride.standing)]
     work.lists["laser_train_files"] += [f"{day}/{name} {k:010d} l" for k in sorted(scanned)]
@@ -110,7 +98,6 @@ def _test_drive(world: World, work: Work, number: int) -> None:
         shot = _raw_shot(world, work, f"{day}/{name}", ride, k, scan=True)
         depth, labels = work.root / "dense_depth" / name / f"{k:010d}.npy", work.root / "labels" / name / f"{k:010d}.png"
         work.shots.append(shot._replace(depth=depth, labels=labels))
-    _raw_texts(work, f"{day}/{name}", ride, frames)
     work.lists["test_scenes"].append(name.removesuffix("_sync"))
     work.lists["test_files"] += [f"{day}/{name} {k:010d} l" for k in frames]
 
@@ -126,7 +113,6 @@ def _sequence(world: World, work: Work, name: str, seed: tuple[int, ...], frames
         image = work.root / folder / "image_2" / f"{k:06d}.png"
         work.shots.append(Shot(plan, pose, time, matrix, world.size, world.supersample, image))
     work.texts[f"{folder}/calib.txt"] = formats.odometry_calibration_text(world.size)
-    work.texts[f"{folder}/times.txt"] = "".join(f"{time:.6e}\n" for time in ride.times)
     work.texts[f"kitti_odometry/poses/{name}.txt"] = formats.poses_text(ride.poses)
 
 

@@ -41,14 +41,13 @@ def run(arguments: argparse.Namespace) -> int:
     import math
     import sys
 
-    from dualdepth.data.odometry import guarded_drives
-    from dualdepth.data.trajectories import paired, read_trajectory
+    from dualdepth.data.odometry import drives_to_guard, pair_frames, read_trajectory
     from dualdepth.errors import InputError
     from dualdepth.evaluation.odometry import SEGMENTS, snippet_errors, snippets, trajectory_errors
 
-    leak = leak_of(arguments, arguments.sequence, "--sequence", guarded_drives)
+    leak = leak_of(arguments, arguments.sequence, "--sequence", drives_to_guard)
     prediction, truth = read_trajectory(arguments.pred), read_trajectory(arguments.gt)
-    frames, poses, true_poses = paired(prediction, truth, (arguments.pred, arguments.gt))
+    frames, poses, true_poses = pair_frames(prediction, truth, (arguments.pred, arguments.gt))
     if len(frames) < 2:
         raise InputError(f"{arguments.pred} and {arguments.gt} have only frame {frames[0]} in common; a trajectory needs two")
     cut = [snippets(p, arguments.snippet, frames) for p in (true_poses, poses)]

@@ -25,7 +25,7 @@ def export(arguments: argparse.Namespace) -> int:
     Raises:
         InputError: what `export_onnx` says.
     """
-    from dualdepth.onnx_export import TOLERANCE, export_onnx
+    from dualdepth.inference.export import TOLERANCE, export_onnx
 
     done = export_onnx(arguments.weights, arguments.out, arguments.frames)
     (height, width), (h, w) = done.size, done.output_size

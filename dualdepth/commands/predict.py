@@ -73,13 +73,12 @@ def predict(arguments: argparse.Namespace) -> int:
     camera = Camera(tuple(arguments.intrinsics) if arguments.intrinsics else None, arguments.focal, fov).check()
     paths = find_inputs(arguments.inputs)
 
-    from dualdepth.atomic import check_writable, remove_leftovers
+    from dualdepth.device import keep_freed_memory
+    from dualdepth.files import check_writable, locked, remove_leftovers
     from dualdepth.inference.journal import Journal
     from dualdepth.inference.outputs import Style
     from dualdepth.inference.running import Predictor
     from dualdepth.inference.tasks import plan
-    from dualdepth.lock import locked
-    from dualdepth.memory import keep_freed_memory
     from dualdepth.model import load
 
     keep_freed_memory()

@@ -32,8 +32,8 @@ def leak_of(arguments: argparse.Namespace, given: str | None, option: str, drive
         return {}
     if not (arguments.weights and given):
         raise InputError(f"--weights and {option} guard together against leaks: give both or neither")
-    from dualdepth.checkpoints import load_card
-    from dualdepth.leaks import check_leak
+    from dualdepth.evaluation.leaks import check_leak
+    from dualdepth.training.weights import load_card
 
     leak = check_leak(load_card(arguments.weights), drives(given), allow=arguments.allow_leak, weights=arguments.weights)
     return {"leak": leak} if leak else {}
@@ -49,8 +49,8 @@ def report(result: dict[str, float | int | str | None], json_out: str | None) ->
     """
     import json
 
-    from dualdepth.atomic import write_json
     from dualdepth.errors import InputError
+    from dualdepth.files import write_json
 
     if json_out == "-":
         print(json.dumps(result, allow_nan=False))

@@ -18,14 +18,14 @@ def train(arguments: argparse.Namespace) -> int:
     Raises:
         InputError: a negative seed, or what `train_variant` says.
     """
-    from dualdepth import ranks
+    from dualdepth.device import is_main_process
     from dualdepth.errors import InputError
-    from dualdepth.results import Run
-    from dualdepth.trainings import train_variant
+    from dualdepth.run import Run
+    from dualdepth.training.variants import train_variant
 
     if not 0 <= arguments.seed < 2**32:
         raise InputError(f"--seed {arguments.seed}: give a whole number from 0 to 4294967295")
     weights = train_variant(Run(arguments.profile), arguments.variant, arguments.seed)
-    if ranks.is_main():
+    if is_main_process():
         print(weights)
     return 0

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dualdepth.atomic import atomic_path
 from dualdepth.errors import InputError
+from dualdepth.files import atomic_path
 
 FIELD_KEY = "data"
 LARGEST = 4 * 10**9

@@ -1,4 +1,4 @@
-"""Label maps of scored frames: 8-bit PNG files of Cityscapes training ids, one an image (PROTOCOLS B7; cityscapesScripts `labels.py`)."""
+"""Label maps of scored frames: 8-bit PNG files of Cityscapes training ids, one an image (cityscapesScripts `labels.py`)."""
 
 import io
 from collections.abc import Sequence
@@ -22,6 +22,17 @@ IGNORE = 255
 def label_path(labels_root: str | Path, frame: Frame) -> Path:
     """Where the label map of a frame is: `<root>/<date_drive_XXXX_sync>/<index>.png`."""
     return Path(labels_root) / frame.drive.split("/")[-1] / f"{frame.index:010d}.png"
+
+
+def check_labels_root(root: str | Path) -> Path:
+    """The folder of label maps, checked to hold some.
+
+    Raises:
+        InputError: it is missing or empty.
+    """
+    if not any(Path(root).glob("*/*.png")):
+        raise InputError(f"LABELS_ROOT {root}: holds no <drive>/<frame>.png; make the maps with python data_scripts/export_labels.py")
+    return Path(root)
 
 
 def read_label_map(path: str | Path) -> np.ndarray:

@@ -1,7 +1,8 @@
 """Ground-truth depth of KITTI raw frames: projected laser scans and the improved, accumulated maps.
 
 The projection is the one that the published Eigen-split numbers were scored with, quirks included (SfMLearner
-`kitti_eval/depth_evaluation_utils.py`, monodepth2 `kitti_utils.py`; PROTOCOLS B1). A pixel of 0 has no measurement.
+`kitti_eval/depth_evaluation_utils.py`, monodepth2 `kitti_utils.py`; docs/protocols.md, "Depth on the Eigen split"). A pixel of 0 has no
+measurement.
 """
 
 from pathlib import Path

@@ -1,60 +1,112 @@
-"""From triplets to batches. Order and augmentation are functions of (seed, epoch, index), so a resume needs only the step."""
+"""From triplets to batches: random scale and crop at full resolution, then one resample to HR-Net's size (paper, "Implementation Details").
 
-import os
+Order and augmentation are functions of (seed, epoch, index), so a resume needs only the step.
+"""
+
 import signal
-import threading
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 import torch
-from torch import Tensor
-from torch.nn import functional as F
 from torch.utils.data import DataLoader, Dataset, Sampler
 
-from dualdepth.data.augmentation import augment
-from dualdepth.data.bad_frames import BadFrames
+from dualdepth.data.frames import resample
 from dualdepth.data.kitti import read_image
 from dualdepth.data.triplets import Triplet
 from dualdepth.errors import InputError
-from dualdepth.sections import Augmentation
+from dualdepth.settings import Augmentation
+
+
+class Crop(NamedTuple):
+    """The part of a frame that is seen, in whole pixels, and whether it is mirrored."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+    flip: bool = False
+
+
+def draw_crop(size: tuple[int, int], settings: Augmentation, rng: np.random.Generator) -> Crop:
+    """Draw a crop of a frame of `size` (height, width).
+
+    Enlarging by s and cropping back to the frame's size shows a window of 1/s of it; x and y are drawn independently,
+    s ~ U(1, max_scale), as in SfMLearner and GeoNet. Whole pixels keep the intrinsics exact.
+    """
+    height, width = size
+    scale_x, scale_y = rng.uniform(1.0, settings.max_scale, 2)
+    window_width, window_height = round(width / scale_x), round(height / scale_y)
+    left = int(rng.integers(0, width - window_width + 1))
+    top = int(rng.integers(0, height - window_height + 1))
+    flip = settings.beyond_paper_flip and bool(rng.random() < 0.5)
+    return Crop(left, top, window_width, window_height, flip)
+
+
+def full_crop(size: tuple[int, int]) -> Crop:
+    """The whole frame of `size` (height, width)."""
+    return Crop(0, 0, size[1], size[0])
+
+
+def crop_frame(image: np.ndarray, crop: Crop, size: tuple[int, int]) -> np.ndarray:
+    """The crop of a frame (H, W, 3), resampled once to `size`."""
+    part = image[crop.top : crop.top + crop.height, crop.left : crop.left + crop.width]
+    part = resample(part, size)
+    return part[:, ::-1] if crop.flip else part
+
+
+def crop_intrinsics(matrix: np.ndarray, crop: Crop, size: tuple[int, int]) -> np.ndarray:
+    """Intrinsics (3, 3) of `crop_frame`: the principal point moves with the crop, then all scale about pixel centres."""
+    scale_x, scale_y = size[1] / crop.width, size[0] / crop.height
+    result = matrix.astype(np.float64).copy()
+    result[0, 2] = (result[0, 2] - crop.left + 0.5) * scale_x - 0.5
+    result[1, 2] = (result[1, 2] - crop.top + 0.5) * scale_y - 0.5
+    result[0, 0] *= scale_x
+    result[1, 1] *= scale_y
+    if crop.flip:
+        result[0, 2] = size[1] - 1 - result[0, 2]
+    return result
+
+
+def augment(
+    frames: Sequence[np.ndarray], matrix: np.ndarray, size: tuple[int, int], settings: Augmentation, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """One draw for all frames of a triplet.
+
+    Args:
+        frames: (H, W, 3) uint8 each, of one size.
+        matrix: intrinsics (3, 3) of the raw frame.
+        size: HR size (height, width). With `augment_first` off (the order the paper calls worse) frames are first shrunk to a
+            third of it, the LR size, and cropped there; the result then has the LR size.
+        settings: of the augmentation.
+        rng: fixes the draw.
+
+    Returns:
+        (len(frames), h, w, 3) uint8 and the view's intrinsics (3, 3) float64.
+    """
+    if not settings.augment_first:
+        size = (size[0] // 3, size[1] // 3)
+        matrix = crop_intrinsics(matrix, full_crop(frames[0].shape[:2]), size)
+        frames = [resample(frame, size) for frame in frames]
+    crop = draw_crop(frames[0].shape[:2], settings, rng)
+    return np.stack([crop_frame(frame, crop, size) for frame in frames]), crop_intrinsics(matrix, crop, size)
 
 
 class TripletDataset(Dataset):
     """Augmented triplets, asked for by (epoch, index).
 
     Gives `images` (3, 3, H, W) uint8 (target, previous, next; RGB), `intrinsics` (3, 3) float32 at that size and `name`.
-    With `bad_frames`, the place of a triplet that cannot be read is taken by the next one that can.
     """
 
-    def __init__(
-        self,
-        triplets: Sequence[Triplet],
-        hr_size: tuple[int, int],
-        augmentation: Augmentation,
-        seed: int,
-        bad_frames: BadFrames | None = None,
-    ) -> None:
+    def __init__(self, triplets: Sequence[Triplet], hr_size: tuple[int, int], augmentation: Augmentation, seed: int) -> None:
         self.triplets, self.hr_size, self.augmentation, self.seed = triplets, hr_size, augmentation, seed
-        self.bad_frames = bad_frames
 
     def __len__(self) -> int:
         return len(self.triplets)
 
     def __getitem__(self, key: tuple[int, int]) -> dict[str, Any]:
         epoch, index = key
-        for place in range(len(self)):
-            chosen = (index + place) % len(self)
-            try:
-                return self._sample(epoch, chosen)
-            except InputError as error:
-                if self.bad_frames is None:
-                    raise
-                self.bad_frames.note(self.triplets[chosen].name, str(error))
-        raise InputError(f"{self.triplets[0].paths[0].parent}: none of {len(self)} triplets can be read; copy or download them again")
-
-    def _sample(self, epoch: int, index: int) -> dict[str, Any]:
         triplet = self.triplets[index]
         frames = [read_image(path) for path in triplet.paths]
         if len({frame.shape for frame in frames}) > 1:
@@ -125,23 +177,5 @@ def make_loader(dataset: TripletDataset, batches: StatelessBatches, workers: int
 def _begin_worker(_: int) -> None:
     cv2.setNumThreads(0)
     torch.set_num_threads(1)
-    if hasattr(signal, "sigwaitinfo"):  # not on macOS
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
-        threading.Thread(target=_heed_parent_alone, args=(os.getppid(),), daemon=True).start()
-
-
-def _heed_parent_alone(parent: int) -> None:
-    """End at the SIGTERM of the training, not at a cluster's notice to all processes: the training still needs samples for its step."""
-    while signal.sigwaitinfo({signal.SIGTERM}).si_pid != parent:
-        pass
-    os._exit(0)
-
-
-def to_unit(images: Tensor) -> Tensor:
-    """Bytes → float32 in [0, 1]."""
-    return images.float().div_(255.0)
-
-
-def low_resolution(images: Tensor) -> Tensor:
-    """LR-Net's view (…, 3, H/3, W/3): exactly HR-Net's image (…, 3, H, W) averaged 3×3."""
-    return F.avg_pool2d(images.flatten(0, -4), 3).unflatten(0, images.shape[:-3])
+    # a cluster's notice goes to all processes, and the training still needs samples for its last step
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)

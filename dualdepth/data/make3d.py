@@ -12,7 +12,6 @@ import cv2
 import numpy as np
 
 from dualdepth.data.kitti import check_image, read_image
-from dualdepth.data.mat import read_mat
 from dualdepth.errors import InputError
 
 PHOTO_FOLDERS = ("Test134", "Test134Img")
@@ -22,11 +21,12 @@ PHOTO, GRID = ("img-", ".jpg"), ("depth_sph_corr-", ".mat")
 """What stands before and after a photo's and a grid's name."""
 GRID_KEY, GRID_SHAPE = "Position3DGrid", (55, 305)
 END_OF_JPEG = b"\xff\xd9"
+MAKE3D_PHOTOS = 134
 LEAST_LEFT = 0.5
 """Share of a truncated photo's rows that must be there."""
 
 
-class Pair(NamedTuple):
+class PhotoGrid(NamedTuple):
     """A photo and its laser grid."""
 
     name: str
@@ -34,7 +34,7 @@ class Pair(NamedTuple):
     grid: Path
 
 
-def find_pairs(root: str | Path) -> list[Pair]:
+def find_pairs(root: str | Path) -> list[PhotoGrid]:
     """All photos with their grids, by name.
 
     Raises:
@@ -47,7 +47,7 @@ def find_pairs(root: str | Path) -> list[Pair]:
     if alone:
         more = f" and {len(alone) - 3} more" if len(alone) > 3 else ""
         raise InputError(f"MAKE3D_ROOT {root}: {', '.join(alone[:3])}{more}; unpack both archives of the test set anew")
-    return [Pair(name, photos[name], grids[name]) for name in sorted(photos)]
+    return [PhotoGrid(name, photos[name], grids[name]) for name in sorted(photos)]
 
 
 def _named(root: Path, folders: Sequence[str], before: str, after: str) -> dict[str, Path]:
@@ -73,16 +73,18 @@ def read_grid(path: str | Path) -> np.ndarray:
     Raises:
         InputError: missing, no `.mat` file, or one without `Position3DGrid` of shape (55, 305, 4).
     """
+    from scipy.io import loadmat
+
     path = Path(path)
     try:
-        points = read_mat(path, GRID_KEY)
+        points = loadmat(path, variable_names=[GRID_KEY])[GRID_KEY]
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such laser grid; unpack the archive of the grids anew") from None
-    except (OSError, ValueError) as error:
+    except KeyError:
+        raise InputError(f"{path}: holds no {GRID_KEY}; give the laser grids of Make3D's test set") from None
+    except Exception as error:  # SciPy has a kind for each damage
         raise InputError(f"{path}: not a .mat file that can be read ({error}); copy or download it again") from None
-    if points is None:
-        raise InputError(f"{path}: holds no {GRID_KEY}; give the laser grids of Make3D's test set")
-    if points.shape != (*GRID_SHAPE, 4):
+    if points.shape != (*GRID_SHAPE, 4) or points.dtype.kind not in "fiu":
         raise InputError(f"{path}: {GRID_KEY} is {points.dtype} of shape {points.shape}; expected numbers of shape {(*GRID_SHAPE, 4)}")
     return points[..., 3].astype(np.float64)
 

@@ -1,19 +1,20 @@
-"""KITTI odometry on disk: sequences, their calibration and true poses, and the triplets to train on.
+"""KITTI odometry on disk: sequences, their calibration and true poses, the triplets to train on, and files of camera poses.
 
 Layout, as KITTI unpacks: `ROOT/sequences/00/image_2/000000.png` (or .jpg), `ROOT/sequences/00/calib.txt`, `ROOT/poses/00.txt`.
 """
 
 import csv
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from dualdepth.atomic import atomic_path
 from dualdepth.data.kitti import SUFFIXES, calibration_entry, numbered_lines, read_calibration
 from dualdepth.data.triplets import Triplet
 from dualdepth.errors import InputError
+from dualdepth.files import atomic_path, write_text
 
 RAW_DRIVES = {
     "00": "2011_10_03/2011_10_03_drive_0027_sync",
@@ -109,7 +110,7 @@ def drives_of(sequences: Iterable[str], *, world: bool) -> list[str]:
     return sorted({f"odometry/{name}" if world else RAW_DRIVES.get(name, f"odometry/{name}") for name in names})
 
 
-def guarded_drives(sequence: str) -> list[str]:
+def drives_to_guard(sequence: str) -> list[str]:
     """Drives that frames of a sequence are of, whether of KITTI or of the synthetic world: what a guard must look for.
 
     Raises:
@@ -123,8 +124,10 @@ def guarded_drives(sequence: str) -> list[str]:
 COLUMNS = ["sequence", "camera", "index", "previous", "target", "next", "fx", "fy", "cx", "cy"]
 
 
-def write_odometry_index(path: str | Path, root: str | Path, sequences: Sequence[str]) -> int:
+def write_odometry_index(path: str | Path, root: str | Path, sequences: Sequence[str], broken: Collection[Path] = ()) -> int:
     """Write the triplets of some sequences as CSV, atomically: frame files and intrinsics; returns how many there are.
+
+    Triplets of `broken` files are left out.
 
     Raises:
         InputError: a sequence has no images, no calibration or not three consecutive frames.
@@ -134,7 +137,8 @@ def write_odometry_index(path: str | Path, root: str | Path, sequences: Sequence
         name, camera = sequence_of(entry)
         files, matrix = frame_files(root, entry), sequence_intrinsics(root, entry)
         lens = [f"{value:.9g}" for value in (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2])]
-        targets = [i for i in files if i - 1 in files and i + 1 in files]
+        whole = {number for number, file in files.items() if file not in broken}
+        targets = [i for i in files if {i - 1, i, i + 1} <= whole]
         if not targets:
             raise InputError(f"{next(iter(files.values())).parent}: no three consecutive frames to train on")
         rows += [[name, camera, i, files[i - 1].name, files[i].name, files[i + 1].name, *lens] for i in targets]
@@ -162,3 +166,132 @@ def load_odometry_triplets(path: str | Path, root: str | Path) -> tuple[list[Tri
     except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
         raise InputError(f"{path}: no list of prepared odometry triplets ({error!r}); run notebook 02_prepare_data") from None
     return triplets, sorted(set(sequences))
+
+
+FORMAT = "a KITTI pose file holds the 12 numbers of the 3x4 matrix [R|t] in a line, or 13 with the frame's number first"
+TOLERANCE = 1e-3
+"""How far R Rᵀ may be from the identity: six decimals and products of many float32 rotations pass."""
+LIMIT = 1e9
+"""Numbers from here on cannot be positions, whatever the unit, and would overflow later."""
+
+
+class Trajectory(NamedTuple):
+    """Camera poses of a sequence."""
+
+    frames: np.ndarray
+    """(N,) frame numbers, strictly increasing; those of a file without them are 0, 1, 2, …"""
+    poses: np.ndarray
+    """(N, 4, 4) float64, camera to world, metres."""
+    indexed: bool
+    """Whether the file gave the frame numbers."""
+
+
+def read_trajectory(path: str | Path) -> Trajectory:
+    """Read a KITTI pose file: 12 numbers a line, or 13 with a leading frame number.
+
+    Raises:
+        InputError: naming the file and the line: missing, empty, another number of numbers, text, NaN, no rotation matrix, or frame
+            numbers that are not increasing integers.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; {FORMAT}")
+    try:
+        text = path.read_text(encoding="utf-8-sig", errors="replace")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    lines = [(number, line.split()) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
+    if not lines:
+        raise InputError(f"{path}: empty; {FORMAT}")
+    numbers = np.array([number for number, _ in lines])
+    values = np.array([_row(words, len(lines[0][1]), f"{path}, line {number}") for number, words in lines])
+
+    def refuse(bad: np.ndarray, what: str) -> None:
+        if bad.any():
+            raise InputError(f"{path}, line {numbers[bad.argmax()]}: {what}")
+
+    refuse(~(np.abs(values) < LIMIT).all(1), f"NaN, infinite or beyond {LIMIT:g}; give finite numbers, positions in metres")
+    indexed = values.shape[1] == 13
+    if indexed:
+        frames = values[:, 0]
+        refuse((frames != np.round(frames)) | (frames < 0), "the frame number, the first of 13, is no integer from 0 up")
+        refuse(np.diff(frames, prepend=-1) <= 0, "the frame number is not above the one before; sort the lines, one a frame")
+    poses = np.tile(np.eye(4), (len(values), 1, 1))
+    poses[:, :3] = values[:, -12:].reshape(-1, 3, 4)
+    rotations = poses[:, :3, :3]
+    orthonormal = np.abs(rotations @ rotations.mT - np.eye(3)).max((1, 2)) < TOLERANCE
+    refuse(~orthonormal | (np.linalg.det(rotations) < 0), f"the left 3x4 columns are no rotation matrix; {FORMAT}")
+    return Trajectory(values[:, 0].astype(np.int64) if indexed else np.arange(len(values)), poses, indexed)
+
+
+def _row(words: list[str], width: int, where: str) -> list[float]:
+    values = []
+    for word in words:
+        try:
+            values.append(float(word))
+        except ValueError:
+            raise InputError(f"{where}: {word[:20]!r} is no number; {FORMAT}, with spaces between") from None
+    if len(values) in (7, 8):
+        raise InputError(
+            f"{where}: {len(values)} numbers, which look like TUM's position and quaternion; give KITTI's 3x4 matrices: {FORMAT}"
+        )
+    if len(values) not in (12, 13):
+        raise InputError(f"{where}: {len(values)} numbers; {FORMAT}")
+    if len(values) != width:
+        raise InputError(f"{where}: {len(values)} numbers, but the first line has {width}; give all lines the frame's number, or none")
+    return values
+
+
+def write_trajectory(path: str | Path, poses: np.ndarray, frames: np.ndarray | None = None) -> None:
+    """Write poses as a KITTI pose file, atomically and without loss.
+
+    Args:
+        path: the file.
+        poses: (N, 4, 4) or (N, 3, 4), camera to world, metres.
+        frames: (N,) frame numbers, written first in each line; without them lines have 12 numbers.
+
+    Raises:
+        InputError: the numbers of frames and poses differ, or the file cannot be written.
+    """
+    if frames is not None and len(frames) != len(poses):
+        raise InputError(f"{path}: {len(frames)} frame numbers but {len(poses)} poses; give one for each")
+    rows = [" ".join(f"{value:.17g}" for value in np.asarray(pose, np.float64)[:3].ravel()) for pose in poses]
+    if frames is not None:
+        rows = [f"{int(frame)} {row}" for frame, row in zip(frames, rows)]
+    try:
+        write_text(path, "".join(f"{row}\n" for row in rows))
+    except OSError as error:
+        raise InputError(f"{path}: cannot write the poses ({error.strerror})") from None
+
+
+def pair_frames(
+    prediction: Trajectory, truth: Trajectory, names: tuple[str, str] = ("the prediction", "the ground truth")
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The frames that both trajectories have, and their poses in each.
+
+    A prediction with frame numbers is matched by them; one without has a pose for each of the ground truth's, in order.
+
+    Args:
+        prediction: what is scored.
+        truth: what it is compared with; without frame numbers its first pose is frame 0's.
+        names: of the two, for messages: their files.
+
+    Returns:
+        (M,) frame numbers, (M, 4, 4) predicted and (M, 4, 4) true poses.
+
+    Raises:
+        InputError: the lengths differ and the prediction has no frame numbers, or no frame is in both.
+    """
+    ours, theirs = names
+    if not prediction.indexed:
+        if len(prediction.poses) != len(truth.poses):
+            raise InputError(
+                f"{ours} has {len(prediction.poses)} poses but {theirs} has {len(truth.poses)}; give one for each frame, or put the frame's"
+                " number first in each line"
+            )
+        return truth.frames, prediction.poses, truth.poses
+    frames, at, true_at = np.intersect1d(prediction.frames, truth.frames, assume_unique=True, return_indices=True)
+    if not len(frames):
+        spans = [f"{t.frames[0]} to {t.frames[-1]}" for t in (prediction, truth)]
+        raise InputError(f"{ours} has frames {spans[0]} and {theirs} {spans[1]}: none in common; are they of the same sequence?")
+    return frames, prediction.poses[at], truth.poses[true_at]

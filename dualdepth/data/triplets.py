@@ -1,4 +1,4 @@
-"""Training triplets: a target frame and its two neighbours in time (PROTOCOLS of Zhou et al.: static frames and test drives left out)."""
+"""Training triplets: a target frame and its two neighbours in time (Zhou et al.: static frames and test drives left out)."""
 
 import csv
 import os
@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dualdepth.atomic import atomic_path
 from dualdepth.data.kitti import SUFFIXES, Frame, intrinsics
 from dualdepth.errors import InputError
+from dualdepth.files import atomic_path
 
 
 class Triplet(NamedTuple):
@@ -87,7 +87,7 @@ def missing_neighbours(root: str | Path, targets: Iterable[Frame]) -> list[Frame
     return sorted(set(missing))
 
 
-def name_missing(what: str, root: str | Path, missing: Iterable[tuple[Frame, str]]) -> InputError:
+def missing_files_error(what: str, root: str | Path, missing: Iterable[tuple[Frame, str]]) -> InputError:
     """One message for all missing files, neighbours in number written as ranges.
 
     Args:

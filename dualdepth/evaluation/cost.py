@@ -1,6 +1,7 @@
 """What a network costs: parameters, multiply-accumulates, time and memory of inference (paper, table "Overhead Comparison")."""
 
 import contextlib
+import functools
 import statistics
 import time
 import weakref
@@ -12,7 +13,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 from torch.utils.flop_counter import FlopCounterMode
 
-from dualdepth.precision import Precision
+from dualdepth.device import Precision
 
 
 class Cost(NamedTuple):
@@ -21,7 +22,7 @@ class Cost(NamedTuple):
     params: int
     """Numbers in all parameters, frozen ones included, shared ones once; buffers are not counted."""
     macs: int
-    """Multiply-accumulates of convolutions and matrix products; the paper's "GFLOPs" are 10⁹ of these (PROTOCOLS A.1)."""
+    """Multiply-accumulates of convolutions and matrix products; the paper's "GFLOPs" are 10⁹ of these (docs/networks.md)."""
 
 
 class Latency(NamedTuple):
@@ -34,7 +35,7 @@ class Latency(NamedTuple):
     """`cpu`, or the GPU's name."""
 
 
-def count(model: torch.nn.Module, *inputs: torch.Tensor) -> Cost:
+def count(model: torch.nn.Module, *inputs: torch.Tensor, **options: Any) -> Cost:
     """Count parameters and multiply-accumulates of `model(*inputs)` in eval mode.
 
     The forward runs on the meta device, which computes shapes only, so it takes no time and no memory; a model that cannot run there
@@ -44,20 +45,23 @@ def count(model: torch.nn.Module, *inputs: torch.Tensor) -> Cost:
     Args:
         model: left unchanged.
         *inputs: tensors of the size that counts, such as (1, 3, 384, 1248), on any device; their values do not matter.
+        **options: handed to the model.
     """
     params = sum(parameter.numel() for parameter in model.parameters())
     with _eval_mode(model):
         try:
             state = {name: value.to("meta") for name, value in (*model.named_parameters(), *model.named_buffers())}
-            flops = _flops(lambda: torch.func.functional_call(model, state, tuple(value.to("meta") for value in inputs)))
+            flops = _flops(lambda: torch.func.functional_call(model, state, tuple(value.to("meta") for value in inputs), options))
         except (NotImplementedError, RuntimeError):
             device = next((parameter.device for parameter in model.parameters()), torch.device("cpu"))
             real = [torch.zeros_like(value, device=device) for value in inputs]
-            flops = _flops(lambda: model(*real))
+            flops = _flops(lambda: model(*real, **options))
     return Cost(params, flops // 2)
 
 
-def latency(model: torch.nn.Module, *inputs: torch.Tensor, repeats: int = 10, warmup: int = 2, precision: Precision = "float32") -> Latency:
+def latency(
+    model: torch.nn.Module, *inputs: torch.Tensor, repeats: int = 10, warmup: int = 2, precision: Precision = "float32", **options: Any
+) -> Latency:
     """Measure `model(*inputs)` in eval mode on the device of its inputs.
 
     Args:
@@ -66,6 +70,7 @@ def latency(model: torch.nn.Module, *inputs: torch.Tensor, repeats: int = 10, wa
         repeats: timed runs, of which the median counts.
         warmup: runs before them, which choose kernels and fill caches.
         precision: `bf16` runs under autocast, with the weights in float32.
+        **options: handed to the model.
     """
     if precision not in get_args(Precision):
         raise ValueError(f"precision {precision!r} is unknown: choose one of {', '.join(get_args(Precision))}")
@@ -75,16 +80,17 @@ def latency(model: torch.nn.Module, *inputs: torch.Tensor, repeats: int = 10, wa
     autocast = torch.autocast(device.type, torch.bfloat16, enabled=precision == "bf16")
     with _eval_mode(model), torch.inference_mode(), autocast:
         for _ in range(warmup):
-            model(*inputs)
+            model(*inputs, **options)
         for _ in range(repeats):
             if cuda:
                 torch.cuda.synchronize(device)
             start = time.perf_counter()
-            model(*inputs)
+            model(*inputs, **options)
             if cuda:
                 torch.cuda.synchronize(device)
             times.append(time.perf_counter() - start)
-        extra = _cuda_peak(model, inputs, device) if cuda else _cpu_peak(model, inputs)
+        run = functools.partial(model, *inputs, **options)
+        extra = _cuda_peak(run, device) if cuda else _cpu_peak(run)
     held = sum(value.numel() * value.element_size() for value in (*model.parameters(), *model.buffers(), *inputs))
     name = torch.cuda.get_device_name(device) if cuda else device.type
     return Latency(statistics.median(times) * 1e3, (held + extra) / 1e6, name)
@@ -96,19 +102,19 @@ def _flops(run: Callable[[], object]) -> int:
     return counter.get_total_flops()
 
 
-def _cuda_peak(model: torch.nn.Module, inputs: tuple[torch.Tensor, ...], device: torch.device) -> int:
+def _cuda_peak(run: Callable[[], object], device: torch.device) -> int:
     """Bytes that one inference allocates at most, on top of what is there."""
     before = torch.cuda.memory_allocated(device)
     torch.cuda.reset_peak_memory_stats(device)
-    model(*inputs)
+    run()
     torch.cuda.synchronize(device)
     return torch.cuda.max_memory_allocated(device) - before
 
 
-def _cpu_peak(model: torch.nn.Module, inputs: tuple[torch.Tensor, ...]) -> int:
+def _cpu_peak(run: Callable[[], object]) -> int:
     """The same on the CPU, from the lifetimes of the tensors; scratch memory inside an operation is not seen."""
     with _Alive() as alive:
-        model(*inputs)
+        run()
     return alive.peak
 
 

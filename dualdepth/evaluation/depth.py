@@ -112,7 +112,7 @@ def median(values: Array) -> float:
     return float((ordered[(count - 1) // 2] + ordered[count // 2]) / 2)
 
 
-def resized(values: Array, size: tuple[int, int]) -> Array:
+def resize_bilinear(values: Array, size: tuple[int, int]) -> Array:
     """Resize (h, w) float values to `size` = (H, W) bilinearly, as `cv2.resize` does, without anti-aliasing."""
     if _library(values) is np:
         return cv2.resize(values, size[::-1], interpolation=cv2.INTER_LINEAR)
@@ -154,7 +154,7 @@ def valid_pixels(prediction: Array, ground_truth: Array, protocol: Protocol) -> 
 
     if protocol.kind != protocol.resize:
         prediction = 1 / prediction
-    prediction = xp.asarray(resized(prediction, tuple(ground_truth.shape)).ravel()[index], dtype=xp.float64)
+    prediction = xp.asarray(resize_bilinear(prediction, tuple(ground_truth.shape)).ravel()[index], dtype=xp.float64)
     if protocol.resize == "disparity":
         prediction = 1 / prediction
     measured = xp.asarray(ground_truth.ravel()[index], dtype=xp.float64)

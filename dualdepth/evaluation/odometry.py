@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from dualdepth.data.trajectories import Trajectory, paired
+from dualdepth.data.odometry import Trajectory, pair_frames
 from dualdepth.errors import InputError
 
 ALIGNMENTS = ("7dof", "none", "scale", "6dof", "scale_7dof")
@@ -149,7 +149,7 @@ def trajectory_errors(truth: Trajectory, prediction: Trajectory, align: str = "7
     Raises:
         InputError: the trajectories do not fit (`paired`), or the alignment is unknown.
     """
-    frames, poses, true_poses = paired(prediction, truth)
+    frames, poses, true_poses = pair_frames(prediction, truth)
     poses, true_poses = aligned(poses, true_poses, align), relative(true_poses)
     segments = segment_errors(truth, Trajectory(frames, poses, True))
     neighbours = np.flatnonzero(np.diff(frames) == 1)

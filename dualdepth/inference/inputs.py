@@ -4,7 +4,7 @@ import glob
 from collections.abc import Iterable
 from pathlib import Path
 
-from dualdepth.data.footage import IMAGES
+from dualdepth.data.frames import IMAGES
 from dualdepth.errors import InputError
 from dualdepth.inference.outputs import ENDINGS
 

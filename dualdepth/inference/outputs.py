@@ -6,7 +6,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from dualdepth.atomic import atomic_path
+from dualdepth.files import atomic_path
 from dualdepth.inference.camera import Camera, point_cloud
 from dualdepth.inference.pictures import Range, colour_picture, side_by_side
 

@@ -13,8 +13,8 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from dualdepth.data.frames import Video
 from dualdepth.data.kitti import read_image
-from dualdepth.data.video import Video
 from dualdepth.errors import InputError
 from dualdepth.inference.ahead import ahead
 from dualdepth.inference.journal import Journal, identity

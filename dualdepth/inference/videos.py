@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from dualdepth.atomic import atomic_path
+from dualdepth.files import atomic_path
 
 CODEC = "mp4v"
 """MPEG-4 in MP4, which every OpenCV wheel writes."""

@@ -1,48 +1,66 @@
-"""Which network it is, in words that fit into a weights' card, and how it is built from them."""
+"""Which depth network it is, in words that fit into a weights' card, and how it is built from them; torch is loaded only to build one."""
 
-import dataclasses
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal
 
-from torch import nn
+from pydantic import BaseModel, ConfigDict, ValidationError
 
-from dualdepth.networks.attention import Normalise, Similarity
-from dualdepth.networks.dual_net import DualNet, Link
-from dualdepth.networks.hr_net import HRNet
-from dualdepth.networks.lr_net import LRNet
+from dualdepth.errors import first_mistake
+
+if TYPE_CHECKING:
+    from torch import nn
 
 Network = Literal["lr", "single", "dual", "hr"]
+Link = Literal["attention", "embedding", "direct"]
+Similarity = Literal["dot", "cosine", "l1", "l2"]
+Normalise = Literal["none", "mean", "softmax"]
 
 
-@dataclasses.dataclass(frozen=True)
-class Architecture:
-    """A depth network; `build()` makes it."""
+class Design(BaseModel):
+    """Everything about a depth network but its encoder, as `variants.yaml` has it."""
+
+    model_config = ConfigDict(frozen=True)
 
     network: Network = "lr"
     """`lr`: LR-Net on low-resolution images; `single`: the same network on high-resolution images; `dual`; `hr`: HR-Net by itself."""
+    link: Link = "attention"
+    """What a dual network's HR-Net receives: SA-Attention's features, its embedding without the mixing, or LR-Net's deepest map as it is
+    ("w/o SA")."""
+    similarity: Similarity = "dot"
+    """Of SA-Attention."""
+    normalise: Normalise = "none"
+    """Of SA-Attention."""
+
+
+class Architecture(Design):
+    """A depth network; `build()` makes it, `model_dump()` is what a card says."""
+
     encoder: str = "resnet50"
     """See `make_encoder`; of no meaning for `hr`."""
-    link: Link = "attention"
-    similarity: Similarity = "dot"
-    normalise: Normalise = "none"
 
-    def __post_init__(self) -> None:
-        choices = {"network": Network, "link": Link, "similarity": Similarity, "normalise": Normalise}
-        for field, known in choices.items():
-            if getattr(self, field) not in get_args(known):
-                raise ValueError(f"{field} {getattr(self, field)!r} is unknown: choose one of {', '.join(get_args(known))}")
+    @classmethod
+    def of_card(cls, card: dict[str, Any]) -> "Architecture":
+        """The network that a card names; words that are missing, but for `network`, have their defaults.
+
+        Raises:
+            ValueError: it names none; the message is one line.
+        """
+        if "network" not in card:
+            raise ValueError("network is missing")
+        try:
+            return cls(**{name: card[name] for name in cls.model_fields if name in card})
+        except ValidationError as error:
+            raise ValueError(first_mistake(error)) from None
 
     @property
     def sees_low_resolution(self) -> bool:
         """Whether the network takes the image averaged 3×3 instead of the image."""
         return self.network == "lr"
 
-    def build(self, pretrained: bool | str = False) -> nn.Module:
+    def build(self, pretrained: bool | str = False) -> "nn.Module":
         """The network with new weights; `pretrained` takes ImageNet's for the encoder."""
+        from dualdepth.networks.depth_nets import DualNet, HRNet, LRNet
+
         if self.network == "hr":
             return HRNet()
         net = LRNet(self.encoder, pretrained)
         return DualNet(net, self.link, self.similarity, self.normalise) if self.network == "dual" else net
-
-    def words(self) -> dict[str, Any]:
-        """What a card says; `Architecture(**words)` is this again."""
-        return dataclasses.asdict(self)

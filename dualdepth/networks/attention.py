@@ -1,16 +1,16 @@
 """SA-Attention: LR-Net's deepest features, bundled with those of similar positions (paper, section "SA-Attention Module")."""
 
 import contextlib
-from typing import Literal, get_args
+from typing import get_args
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from dualdepth.networks.architecture import Normalise, Similarity
+
 WIDTH = 128
 """Channels of the embedding f′; fitted to the paper's overhead table."""
-Similarity = Literal["dot", "cosine", "l1", "l2"]
-Normalise = Literal["none", "mean", "softmax"]
 STARTING_GAIN = {("dot", "none"): 0.1, ("dot", "mean"): 0.35, ("cosine", "none"): 0.03}
 """What the embedding's first weights are multiplied by, so that f″ starts near the scale of f: with 52 positions of 128 channels the
 literal form, cubic in f′, starts a thousand times larger. Other settings need no such start. An assumption; the paper is silent."""

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from dualdepth.results import Run
+from dualdepth.run import Run
 from dualdepth.tables.rows import compare_trainings, training_row, with_paper
 
 ROWS = (

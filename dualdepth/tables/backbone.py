@@ -9,21 +9,19 @@ import torch
 from torch import nn
 
 from dualdepth import paper
+from dualdepth.device import default_device, device_name, has_bf16
 from dualdepth.evaluation.cost import count, latency
 from dualdepth.networks.architecture import Architecture
-from dualdepth.networks.dual_net import BothDepths
-from dualdepth.precision import has_bf16
-from dualdepth.results import Run, device_name
-from dualdepth.scoring import device
+from dualdepth.run import Run
 from dualdepth.tables.rows import compare_trainings, training_row, with_paper
 
 WITHOUT_DECODER = "Dual-network (ResNet50), without LR-Net's decoder"
 NETWORKS = {
-    "MobileNet V2": (Architecture("single", "mobilenet_v2"), "mobilenet_v2"),
-    "ResNet18": (Architecture("single", "resnet18"), "resnet18"),
-    "Dual-network (ResNet50)": (Architecture("dual", "resnet50"), "dual"),
-    WITHOUT_DECODER: (Architecture("dual", "resnet50"), "dual"),
-    "LR-Net (ResNet50)": (Architecture("lr", "resnet50"), "lr"),
+    "MobileNet V2": (Architecture(network="single", encoder="mobilenet_v2"), "mobilenet_v2"),
+    "ResNet18": (Architecture(network="single", encoder="resnet18"), "resnet18"),
+    "Dual-network (ResNet50)": (Architecture(network="dual", encoder="resnet50"), "dual"),
+    WITHOUT_DECODER: (Architecture(network="dual", encoder="resnet50"), "dual"),
+    "LR-Net (ResNet50)": (Architecture(network="lr", encoder="resnet50"), "lr"),
 }
 """Row: the paper's network, and the variant whose metrics it shows."""
 
@@ -35,18 +33,18 @@ def cost_row(name: str, repeats: int) -> dict[str, Any]:
     """
     architecture, _ = NETWORKS[name]
     net: nn.Module = architecture.build()
+    # the paper counts LR-Net's decoder, which depth at high resolution does not need
+    options = {"with_lr_depth": True} if architecture.network == "dual" and name != WITHOUT_DECODER else {}
     if name == WITHOUT_DECODER:
         net.lr_net.decoder = nn.Identity()
-    elif architecture.network == "dual":
-        net = BothDepths(net)
     image = torch.rand(1, 3, *paper.RECIPE["lr_size" if architecture.sees_low_resolution else "hr_size"])
-    cost, where = count(net, image), torch.device(device())
+    cost, where = count(net, image, **options), default_device()
     net, image = net.to(where, memory_format=torch.channels_last), image.to(where)
     row: dict[str, Any] = {"params_m": cost.params / 1e6, "gmacs": cost.macs / 1e9, "device": device_name()}
     for precision, suffix in (("float32", ""), ("bf16", "_bf16")):
         row |= {f"latency_ms{suffix}": math.nan, f"peak_mb{suffix}": math.nan}
         if precision == "float32" or has_bf16(where):
-            measured = latency(net, image, repeats=repeats, warmup=1, precision=precision)
+            measured = latency(net, image, repeats=repeats, warmup=1, precision=precision, **options)
             row |= {f"latency_ms{suffix}": measured.median_ms, f"peak_mb{suffix}": measured.peak_mb}
     return row
 
@@ -58,7 +56,7 @@ def backbone_table(run: Run, seeds: Sequence[int], repeats: int = 3) -> pd.DataF
     the metrics, n, seeds, source, note.
     """
     rows = []
-    imitated = "" if has_bf16(torch.device(device())) else ", bf16 not measured: the device only imitates it"
+    imitated = "" if has_bf16(default_device()) else ", bf16 not measured: the device only imitates it"
     for name, (_, variant) in NETWORKS.items():
         trained = training_row(run, variant, seeds)
         note = f"cost of a new network at the paper's size{imitated}; metrics of variant {variant}: {trained['note']}"

@@ -7,9 +7,9 @@ from typing import Any
 import pandas as pd
 
 from dualdepth.evaluation.distance import PARTS, evaluate_near_far
-from dualdepth.results import Run
-from dualdepth.scoring import Predictions, protocol, truth
+from dualdepth.run import Run
 from dualdepth.tables.rows import COMPARISON, compare_trainings, comparison_row, training_row, with_paper
+from dualdepth.tables.scoring import Predictions, protocol, truth
 
 ROWS = {"lr": "w/o HR-Net", "dual_no_sa": "w/ HR-Net, w/o SA", "dual": "w/ HR-Net"}
 RATIOS = {False: "one median ratio an image", True: "a median ratio for each part"}

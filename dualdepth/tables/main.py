@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import pandas as pd
 
 from dualdepth.evaluation.statistics import Difference, mean_std, paired_bootstrap
-from dualdepth.results import Run
-from dualdepth.scoring import score_baselines, score_training, score_untrained, scored_note
-from dualdepth.tables.rows import NO_TRUTH, mean_row, said_seeds, training_row, with_paper
+from dualdepth.run import Run
+from dualdepth.tables.rows import NO_TRUTH, mean_row, seed_label, training_row, with_paper
+from dualdepth.tables.scoring import score_baselines, score_training, score_untrained, scored_note
 
 BASELINE_ROWS = {
     "mean_map": "Train set mean",
@@ -43,7 +43,7 @@ def main_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
     untrained = {"method": "LR-Net, untrained", "supervision": "-", "note": NO_TRUTH}
     if run.profile.data.has_truth:
         note = "; ".join(filter(None, ["before its first step", scored_note(run)]))
-        untrained |= {**mean_row([score_untrained(run, seed) for seed in seeds]), "seeds": said_seeds(seeds), "note": note}
+        untrained |= {**mean_row([score_untrained(run, seed) for seed in seeds]), "seeds": seed_label(seeds), "note": note}
     rows.append(untrained | common)
     for variant in ("lr", "dual"):
         rows.append({"method": run.profile.variant(variant).label, "supervision": "-", **training_row(run, variant, seeds), **common})

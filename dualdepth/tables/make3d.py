@@ -8,18 +8,17 @@ import cv2
 import numpy as np
 import pandas as pd
 
-from dualdepth.data.augmentation import resize
 from dualdepth.data.depth_maps import load_ground_truth
-from dualdepth.data.make3d import read_photo
-from dualdepth.data.sources import MAKE3D_PHOTOS
+from dualdepth.data.frames import resample
+from dualdepth.data.make3d import MAKE3D_PHOTOS, read_photo
 from dualdepth.evaluation.baselines import GRID, depth_sums, mean_depth
-from dualdepth.evaluation.depth import resized
+from dualdepth.evaluation.depth import resize_bilinear
 from dualdepth.evaluation.make3d import CONVENTIONS, FARTHEST, METRICS, ROWS, Convention, evaluate_make3d, visible
-from dualdepth.make3d_scoring import NOT_RUN, Photos, load_photos, predict_photos, score_make3d
-from dualdepth.predict import load_depth_net
-from dualdepth.results import Run
-from dualdepth.scoring import untrained_net
-from dualdepth.tables.rows import COMPARISON, compare_trainings, mean_row, said_seeds, training_note, training_row, with_paper
+from dualdepth.inference.predict import load_depth_net
+from dualdepth.run import Run
+from dualdepth.tables.make3d_scoring import NOT_RUN, Photos, load_photos, predict_photos, score_make3d
+from dualdepth.tables.rows import COMPARISON, compare_trainings, mean_row, seed_label, training_note, training_row, with_paper
+from dualdepth.tables.scoring import untrained_net
 
 VARIANTS = ("lr", "dual_no_sa", "dual")
 
@@ -66,7 +65,7 @@ def untrained_row(run: Run, seeds: Sequence[int], photos: Photos | None, convent
     if photos is not None:
         depths = (predict_photos(untrained_net(run, seed), photos.pairs, convention) for seed in seeds)
         row |= mean_row([evaluate_make3d(depth, photos.grids, convention) for depth in depths], METRICS)
-        row |= {"seeds": said_seeds(seeds), "note": _said(run, photos, "before its first step")}
+        row |= {"seeds": seed_label(seeds), "note": _said(run, photos, "before its first step")}
     return row
 
 
@@ -138,8 +137,8 @@ def make3d_examples(run: Run, variant: str, seed: int, *, count: int = 3, size: 
     depths = predict_photos(load_depth_net(run.weights(variant, seed)), pairs, "band")
     scored = [np.where(photos.grids[i] < FARTHEST, photos.grids[i], 0)[ROWS] for i in chosen]
     return Examples(
-        [resize(visible(read_photo(pair.photo), "band"), size) for pair in pairs],
+        [resample(visible(read_photo(pair.photo), "band"), size) for pair in pairs],
         [cv2.resize(grid, size[::-1], interpolation=cv2.INTER_NEAREST) for grid in scored],
-        [np.minimum(resized(depth, size) * scores.loc[i, "scale_ratio"], FARTHEST) for i, depth in zip(chosen, depths)],
+        [np.minimum(resize_bilinear(depth, size) * scores.loc[i, "scale_ratio"], FARTHEST) for i, depth in zip(chosen, depths)],
         [pair.photo.name for pair in pairs],
     )

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from dualdepth.checkpoints import load_card
 from dualdepth.data.odometry import drives_of, poses_path, sequence_of
+from dualdepth.evaluation.leaks import check_leak
 from dualdepth.evaluation.odometry import ALIGNMENTS
 from dualdepth.evaluation.statistics import mean_std
-from dualdepth.leaks import check_leak
-from dualdepth.odometry_scoring import (
+from dualdepth.run import Run, Sources
+from dualdepth.tables.odometry_scoring import (
     CONTROLS,
     LENGTHS,
     SequenceScores,
@@ -22,9 +22,8 @@ from dualdepth.odometry_scoring import (
     score_sequence,
     true_trajectory,
 )
-from dualdepth.preparation import Sources
-from dualdepth.results import Run
-from dualdepth.tables.rows import COMPARISON, comparison_row, said_seeds, training_note, with_paper
+from dualdepth.tables.rows import COMPARISON, comparison_row, seed_label, training_note, with_paper
+from dualdepth.training.weights import load_card
 
 VARIANTS = ("odometry_lr", "odometry_dual")
 TRAJECTORY = ("t_err", "r_err", "ate", "rpe_t", "rpe_r")
@@ -111,7 +110,7 @@ def _row(run: Run, name: str, seeds: Sequence[int], length: int) -> dict[str, An
     cut = "each from one output of PoseNet" if length == 3 else "cut from the trajectory"
     train = " ".join(run.profile.odometry_sequences()[0])
     note = f"{training_note(run, name, seeds[0], drives=_drives(run))}, sequences {train}; snippets of {length} frames, {cut}"
-    return row | {"variant": name, "seeds": said_seeds(seeds), "note": note}
+    return row | {"variant": name, "seeds": seed_label(seeds), "note": note}
 
 
 def _drives(run: Run) -> list[str]:
@@ -142,7 +141,7 @@ def trajectory_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
                 for metric in TRAJECTORY:
                     row[metric], row[f"{metric}_std"] = mean_std([s.trajectory[how][metric] for s in scores])
                 segments = scores[0].trajectory[how]["segments"]
-                said = said_seeds(seeds) if trained else ""
+                said = seed_label(seeds) if trained else ""
                 notes = ["" if segments else "no segment of 100 m: the path is too short", leak]
                 rows.append(row | {"segments": segments, "seeds": said, "source": "measured", "note": "; ".join(filter(None, notes))})
     columns = ["method", "sequence", "align", *TRAJECTORY, "segments", "seeds", "source", "note", *(f"{m}_std" for m in TRAJECTORY)]
@@ -189,7 +188,7 @@ def _t_err_row(a: Sequence[SequenceScores], b: Sequence[SequenceScores]) -> dict
 
 def paths(run: Run, seed: int, entry: str) -> dict[str, np.ndarray]:
     """Positions (N, 3) in metres for a plot, laid on the truth with 7dof: the truth and ours."""
-    from dualdepth.data.trajectories import read_trajectory
+    from dualdepth.data.odometry import read_trajectory
     from dualdepth.evaluation.odometry import aligned, relative
 
     truth = true_trajectory(run, entry).poses

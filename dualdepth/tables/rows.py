@@ -7,12 +7,12 @@ import numpy as np
 import pandas as pd
 
 from dualdepth import paper
-from dualdepth.checkpoints import load_card
 from dualdepth.evaluation.depth import METRICS
+from dualdepth.evaluation.leaks import check_leak
 from dualdepth.evaluation.statistics import Comparison, compare, mean_std
-from dualdepth.leaks import check_leak
-from dualdepth.results import Run
-from dualdepth.scoring import score_training, scored_drives, scored_note
+from dualdepth.run import Run
+from dualdepth.tables.scoring import score_training, scored_drives, scored_note
+from dualdepth.training.weights import load_card
 
 Scores = Callable[[Run, str, int], pd.DataFrame]
 """Per-image values of a variant's training with a seed, such as `score_training`."""
@@ -47,10 +47,10 @@ def training_row(
     if variant not in run.profile.train:
         return {"variant": variant, "source": "measured", "note": f"not run: profile {run.profile.name} does not train it"}
     values = mean_row([scores(run, variant, seed) for seed in seeds], columns)
-    return {"variant": variant, **values, "seeds": said_seeds(seeds), "source": "measured", "note": training_note(run, variant, seeds[0])}
+    return {"variant": variant, **values, "seeds": seed_label(seeds), "source": "measured", "note": training_note(run, variant, seeds[0])}
 
 
-def said_seeds(seeds: Sequence[int]) -> str:
+def seed_label(seeds: Sequence[int]) -> str:
     """Seeds as a table has them."""
     return " ".join(map(str, seeds))
 

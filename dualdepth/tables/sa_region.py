@@ -13,10 +13,10 @@ from dualdepth.data.label_maps import LabelMaps, label_path
 from dualdepth.errors import InputError
 from dualdepth.evaluation.depth import METRICS
 from dualdepth.evaluation.regions import LEAST, REGIONS, evaluate_regions
-from dualdepth.preparation import Sources
-from dualdepth.results import Run, file_digest
-from dualdepth.scoring import Predictions, protocol, scored_frames, truth
-from dualdepth.tables.rows import COMPARISON, compare_trainings, comparison_row, said_seeds, training_row, with_paper
+from dualdepth.files import file_digest
+from dualdepth.run import Run, Sources
+from dualdepth.tables.rows import COMPARISON, compare_trainings, comparison_row, seed_label, training_row, with_paper
+from dualdepth.tables.scoring import Predictions, protocol, scored_frames, truth
 
 ROWS = {"dual_no_sa": "w/o SA", "dual": "w/ SA"}
 COLUMNS = ["region", "method", *(f"{m}{end}" for m in METRICS for end in ("", "_std")), "n", "seeds", "source", "variant", "note"]
@@ -97,16 +97,16 @@ def sa_region_claims(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
     """
     if labels_made_by(run) == NO_LABELS:
         rows = [
-            {"region": r, "seed": said_seeds(seeds), "a": "dual", "b": "dual_no_sa", "metric": "", "in_words": NO_LABELS} for r in REGIONS
+            {"region": r, "seed": seed_label(seeds), "a": "dual", "b": "dual_no_sa", "metric": "", "in_words": NO_LABELS} for r in REGIONS
         ]
         return pd.DataFrame(rows, columns=["region", "seed", *COMPARISON])
     tables = []
     for chosen in [seeds, *([seed] for seed in seeds if len(seeds) > 1)]:
         for region in REGIONS:
             table = compare_trainings(run, [("dual", "dual_no_sa")], chosen, scores=partial(score_region, region=region))
-            tables.append(table.assign(region=region, seed=said_seeds(chosen)))
+            tables.append(table.assign(region=region, seed=seed_label(chosen)))
         if (tables[-1]["metric"] != "").all():
-            tables.append(pd.DataFrame([gain_row(run, chosen)]).assign(region=" against ".join(REGIONS), seed=said_seeds(chosen)))
+            tables.append(pd.DataFrame([gain_row(run, chosen)]).assign(region=" against ".join(REGIONS), seed=seed_label(chosen)))
     return pd.concat(tables, ignore_index=True)[["region", "seed", *COMPARISON]]
 
 

@@ -9,13 +9,13 @@ import numpy as np
 import pandas as pd
 
 from dualdepth import paper
-from dualdepth.evaluation.depth import METRICS, resized
+from dualdepth.evaluation.depth import METRICS, resize_bilinear
 from dualdepth.evaluation.objects import POLE, class_errors
 from dualdepth.evaluation.sharpness import boundary_scores, tenengrad
 from dualdepth.evaluation.statistics import mean_std
-from dualdepth.results import Run
-from dualdepth.scoring import Predictions, dense_truth, label_map, scored_frames
-from dualdepth.tables.rows import COMPARISON, NO_TRUTH, compare_trainings, mean_row, said_seeds, training_note, training_row, with_paper
+from dualdepth.run import Run
+from dualdepth.tables.rows import COMPARISON, NO_TRUTH, compare_trainings, mean_row, seed_label, training_note, training_row, with_paper
+from dualdepth.tables.scoring import Predictions, dense_truth, label_map, scored_frames
 
 ROWS = {"lr": "w/o HR-Net", "dual": "w/ HR-Net"}
 THRESHOLDS = {"depth, m": (0, 2, 5, 10, 20, 50, 100), "inverse depth / its mean": (0, 0.1, 0.25, 0.5, 1, 2, 4)}
@@ -30,7 +30,7 @@ def _maps(run: Run, variant: str, seed: int) -> Iterator[tuple[str, str, np.ndar
     for image in predicted.scores.index:
         for size in SIZES:
             shape = predicted.disparities[image].shape if size == "native" else run.profile.data.hr_size
-            inverse = resized(np.asarray(predicted.disparities[image]), shape)
+            inverse = resize_bilinear(np.asarray(predicted.disparities[image]), shape)
             yield "depth, m", size, predicted.depth(image, shape)
             yield "inverse depth / its mean", size, inverse / inverse.mean()
 
@@ -72,7 +72,7 @@ def _measured_rows(run: Run, seeds: Sequence[int]) -> list[dict[str, Any]]:
             ratios = np.divide(high, low, out=np.full_like(high, np.nan), where=low > 0)
             for place, t in enumerate(thresholds):
                 images = len(sums[kind, size, "lr", seeds[0]])
-                shared = {"map": kind, "size": size, "threshold": t, "n": images, "seeds": said_seeds(seeds), "source": "measured"}
+                shared = {"map": kind, "size": size, "threshold": t, "n": images, "seeds": seed_label(seeds), "source": "measured"}
                 for variant, values in (("lr", low), ("dual", high)):
                     row = {"method": ROWS[variant], **shared, "note": training_note(run, variant, seeds[0])}
                     row["tenengrad"], row["tenengrad_std"] = mean_std(values[:, place])
@@ -99,7 +99,7 @@ def score_ceiling(run: Run, size: tuple[int, int]) -> pd.DataFrame:
     for image in range(len(scored_frames(run))):
         exact = _exact(run, image)
         shrunk = 1 / cv2.resize(1 / exact, size[::-1], interpolation=cv2.INTER_AREA)
-        rows[image] = boundary_scores(resized(shrunk, exact.shape), exact)
+        rows[image] = boundary_scores(resize_bilinear(shrunk, exact.shape), exact)
     return _per_image(rows, BOUNDARY_COLUMNS)
 
 

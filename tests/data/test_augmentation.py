@@ -4,8 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from dualdepth.data.augmentation import augment, draw_window, full_window, resize, view, view_intrinsics
-from dualdepth.sections import Augmentation
+from dualdepth.data.frames import resample
+from dualdepth.data.loading import augment, crop_frame, crop_intrinsics, draw_crop, full_crop
+from dualdepth.settings import Augmentation
 
 RAW = (100, 330)
 K = np.array([[190.0, 0, 171.3], [0, 205.0, 46.8], [0, 0, 1]])
@@ -54,13 +55,13 @@ def test_a_point_in_space_stays_on_its_picture(size, augment_first, flip):
 def test_ignoring_the_crop_would_be_noticed():
     point = np.array([1.0, 0.2, 8.0])
     images, _ = augment([picture_of(point)], K, (96, 288), Augmentation(), np.random.default_rng(3))
-    untouched = view_intrinsics(K, full_window(RAW), (96, 288))
+    untouched = crop_intrinsics(K, full_crop(RAW), (96, 288))
     assert np.abs(centre_of_blob(images[0]) - project(untouched, point)).max() > 1
 
 
 def test_windows_show_between_all_and_1_over_max_scale_of_the_frame_in_each_direction():
     rng = np.random.default_rng(0)
-    windows = [draw_window((375, 1242), Augmentation(max_scale=1.15), rng) for _ in range(300)]
+    windows = [draw_crop((375, 1242), Augmentation(max_scale=1.15), rng) for _ in range(300)]
     widths, heights = np.array([w.width for w in windows]), np.array([w.height for w in windows])
     assert 1242 / 1.15 - 0.5 <= widths.min() < 1242 / 1.14
     assert 1242 / 1.01 < widths.max() <= 1242
@@ -98,10 +99,10 @@ def test_the_draw_is_fixed_by_the_generator():
 def test_shrinking_averages_instead_of_skipping_pixels():
     stripes = np.zeros((12, 36, 3), np.uint8)
     stripes[:, ::3] = 240
-    assert (resize(stripes, (4, 12)) == 80).all()
+    assert (resample(stripes, (4, 12)) == 80).all()
 
 
 def test_mirroring_mirrors_the_picture():
     frame = np.random.default_rng(0).integers(0, 256, (*RAW, 3), np.uint8)
-    window = full_window(RAW)
-    assert np.array_equal(view(frame, window._replace(flip=True), RAW), frame[:, ::-1])
+    window = full_crop(RAW)
+    assert np.array_equal(crop_frame(frame, window._replace(flip=True), RAW), frame[:, ::-1])

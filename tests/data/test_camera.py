@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from own_film import chessboards
 
-from dualdepth.data import camera
-from dualdepth.data.camera import Straightener, calibrated, camera_of_field, camera_of_file, camera_of_numbers
+from data_scripts.own import camera
+from data_scripts.own.camera import Straightener, calibrate, camera_of_field, camera_of_file, camera_of_numbers
 from dualdepth.errors import InputError
-from dualdepth.results import project_root
+from dualdepth.run import project_root
 
 SIZE = (240, 320)
 TRUE = np.array([[290.0, 0, 163], [0, 285.0, 117], [0, 0, 1]])
@@ -25,7 +25,7 @@ def boards():
 
 @pytest.fixture(scope="module")
 def found(boards):
-    return calibrated(boards, (9, 6), SIZE, "boards")
+    return calibrate(boards, (9, 6), SIZE, "boards")
 
 
 def test_a_chessboard_gives_the_camera_that_rendered_it(found):
@@ -35,7 +35,7 @@ def test_a_chessboard_gives_the_camera_that_rendered_it(found):
 
 
 def test_a_boards_squares_are_understood_as_well_as_its_inner_corners(boards, found):
-    assert np.allclose(calibrated(boards, (10, 7), SIZE, "boards").matrix, found.matrix)
+    assert np.allclose(calibrate(boards, (10, 7), SIZE, "boards").matrix, found.matrix)
 
 
 def test_undistorted_frames_are_those_of_a_pinhole(found, boards):
@@ -56,18 +56,18 @@ def test_undistorted_frames_are_those_of_a_pinhole(found, boards):
 def test_views_without_a_board_and_too_few_with_one_are_refused(boards):
     blank = [(f"blank {k}", np.full((*SIZE, 3), 128, np.uint8)) for k in range(3)]
     with pytest.raises(InputError, match=r"boards: the whole board of 9x6 was found in 2 of 5 views, 8 are needed; check --squares"):
-        calibrated([*boards[:2], *blank], (9, 6), SIZE, "boards")
+        calibrate([*boards[:2], *blank], (9, 6), SIZE, "boards")
 
 
 def test_a_board_that_no_camera_explains_is_refused_with_its_error(boards, monkeypatch):
     monkeypatch.setattr(camera, "REPROJECTION", 0.01)  # finer than these pixels can tell
     with pytest.raises(InputError, match=r"boards: the corners are off by 0\.\d\d pixels \(RMS\), at most 0\.01 is taken; use a"):
-        calibrated(boards, (9, 6), SIZE, "boards")
+        calibrate(boards, (9, 6), SIZE, "boards")
 
 
 def test_boards_of_another_size_than_the_frames_are_refused(boards):
     with pytest.raises(InputError, match="view 0: has 320×240 pixels, the frames have 640×480"):
-        calibrated(boards, (9, 6), (480, 640), "boards")
+        calibrate(boards, (9, 6), (480, 640), "boards")
 
 
 def test_an_estimate_from_the_field_of_view_is_a_pinholes_and_says_that_it_is_one():

@@ -8,8 +8,8 @@ import urllib.request
 import pytest
 from loopback import running
 
-from dualdepth.data import download
-from dualdepth.data.download import ChecksumError, NotThereError, fetch, remote_size
+from data_scripts import fetch
+from data_scripts.fetch import ChecksumError, NotThereError, fetch, remote_size
 from dualdepth.errors import InputError
 
 CONTENT = bytes(range(256)) * 8192  # 2 MiB
@@ -19,7 +19,7 @@ SHA256 = f"sha256:{hashlib.sha256(CONTENT).hexdigest()}"
 @pytest.fixture
 def server(monkeypatch):
     monkeypatch.setenv("no_proxy", "127.0.0.1")
-    monkeypatch.setattr(download, "PAUSES", (0.0, 0.0))
+    monkeypatch.setattr(fetch, "PAUSES", (0.0, 0.0))
     with running() as loopback:
         loopback.files["file.bin"] = CONTENT
         yield loopback
@@ -119,7 +119,7 @@ def test_a_missing_file_is_told_at_once(server, tmp_path):
 
 
 def test_no_network_is_told_with_the_mend(tmp_path, monkeypatch):
-    monkeypatch.setattr(download, "PAUSES", (0.0, 0.0))
+    monkeypatch.setattr(fetch, "PAUSES", (0.0, 0.0))
     with socket.socket() as taken:  # bound and never listening: refuses connections
         taken.bind(("127.0.0.1", 0))
         with pytest.raises(InputError, match=r"no network: .* cannot be reached .* if you have KITTI, give KITTI_ROOT"):
@@ -135,14 +135,14 @@ def test_only_https_is_downloaded(address, tmp_path):
 def test_redirects_are_not_followed():
     request = urllib.request.Request("https://example.org/a")
     with pytest.raises(InputError, match=r"redirects to https://elsewhere\.org"):
-        download._NoRedirect().redirect_request(request, None, 302, "Found", {}, "https://elsewhere.org/a")
+        fetch._NoRedirect().redirect_request(request, None, 302, "Found", {}, "https://elsewhere.org/a")
 
 
 def test_a_full_disk_is_told_once_and_not_retried(server, tmp_path, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(download, "write_text", full)
+    monkeypatch.setattr(fetch, "write_text", full)
     with pytest.raises(InputError, match="the disk is full"):
         get(server, tmp_path)
     assert len(server.requests) == 1

@@ -5,10 +5,10 @@ import pytest
 from own_film import frame, turning, write_frames
 from small_kitti import wall
 
-from dualdepth.data.film import Drive, cut_at_breaks, examine, hold_out
-from dualdepth.data.footage import Footage
-from dualdepth.data.motion import Meter, small_copy
-from dualdepth.results import project_root
+from data_scripts.own.checks import Drive, cut_at_breaks, examine, hold_out
+from data_scripts.own.motion import MotionMeter, small_copy
+from dualdepth.data.frames import Footage
+from dualdepth.run import project_root
 
 FOCAL = 0.8
 SHARED = project_root().parent / "shared" / "data"
@@ -30,7 +30,7 @@ def failed(film):
 
 
 def measure(before, after):
-    return Meter(FOCAL)(small_copy(before), small_copy(after))
+    return MotionMeter(FOCAL)(small_copy(before), small_copy(after))
 
 
 def test_flow_is_the_share_of_the_width_that_the_picture_moves():

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from own_film import frame, write_frames, write_video
 
-from dualdepth.data.footage import Footage
+from dualdepth.data.frames import Footage
 from dualdepth.errors import InputError
 
 

@@ -9,10 +9,11 @@ import torch
 from small_kitti import DRIVE, write_drive
 
 from dualdepth.data.kitti import read_image
-from dualdepth.data.loading import StatelessBatches, TripletDataset, low_resolution, make_loader, to_unit
+from dualdepth.data.loading import StatelessBatches, TripletDataset, make_loader
 from dualdepth.data.triplets import Triplet, drive_triplets, load_triplets, write_targets
 from dualdepth.errors import InputError
-from dualdepth.sections import Augmentation
+from dualdepth.geometry import low_resolution, to_unit
+from dualdepth.settings import Augmentation
 
 HR = (96, 96)
 

@@ -4,9 +4,8 @@ import io
 
 import numpy as np
 import pytest
-from scipy.io import savemat
-
 from dualdepth.data.mat import read_mat
+from scipy.io import savemat
 
 
 @pytest.fixture

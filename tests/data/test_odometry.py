@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from small_kitti import write_sequence
 
+from data_scripts.sources import drive_archives
 from dualdepth.data import odometry
 from dualdepth.data.odometry import (
     check_odometry_root,
@@ -16,9 +17,8 @@ from dualdepth.data.odometry import (
     sequence_intrinsics,
     write_odometry_index,
 )
-from dualdepth.data.sources import drive_archives
 from dualdepth.errors import InputError
-from dualdepth.results import project_root
+from dualdepth.run import project_root
 
 SHARED = project_root().parent / "shared" / "data" / "kitti_odometry"
 needs_kitti = pytest.mark.skipif(not SHARED.is_dir(), reason="real KITTI odometry (../shared/data) is not here")

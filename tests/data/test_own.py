@@ -3,10 +3,10 @@
 import pytest
 import yaml
 
-from dualdepth.config import Profile, load_profile
-from dualdepth.data.own import PIXELS, drive_name, fitting_size, profile_text, read_record
-from dualdepth.data.sources import DATES
+from data_scripts.own.dataset import PIXELS, drive_name, fitting_size, profile_text, read_record
+from data_scripts.sources import DATES
 from dualdepth.errors import InputError
+from dualdepth.profile import Profile, load_profile
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from loopback import running
 
-from dualdepth.data import sources
+from data_scripts import sources
+from data_scripts.sources import LISTS, drive_archives, named_list
 from dualdepth.data.kitti import read_frame_list, read_static_frames, read_test_scenes
-from dualdepth.data.sources import LISTS, drive_archives, named_list
 from dualdepth.errors import InputError
 
 SHARED_LISTS = Path(__file__).resolve().parents[3] / "shared" / "data" / "splits"

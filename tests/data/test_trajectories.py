@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dualdepth.data.trajectories import Trajectory, paired, read_trajectory, write_trajectory
+from dualdepth.data.odometry import Trajectory, pair_frames, read_trajectory, write_trajectory
 from dualdepth.errors import InputError
 
 REAL = Path(__file__).parents[3] / "shared" / "data" / "kitti_odometry"
@@ -126,7 +126,7 @@ def test_no_file_and_no_text_file(tmp_path):
 
 def test_frame_numbers_pair_the_poses():
     prediction, truth = trajectory([2, 3, 5, 9]), trajectory(range(8), indexed=False)
-    frames, poses, true_poses = paired(prediction, truth)
+    frames, poses, true_poses = pair_frames(prediction, truth)
     assert frames.tolist() == [2, 3, 5]
     np.testing.assert_array_equal(poses, prediction.poses[:3])
     np.testing.assert_array_equal(true_poses, truth.poses[[2, 3, 5]])
@@ -134,7 +134,7 @@ def test_frame_numbers_pair_the_poses():
 
 def test_without_frame_numbers_there_is_a_pose_for_each_true_one():
     prediction, truth = trajectory(range(3), indexed=False), trajectory([5, 6, 8])
-    frames, poses, true_poses = paired(prediction, truth)
+    frames, poses, true_poses = pair_frames(prediction, truth)
     assert frames.tolist() == [5, 6, 8]
     np.testing.assert_array_equal(poses, prediction.poses)
     np.testing.assert_array_equal(true_poses, truth.poses)
@@ -143,9 +143,9 @@ def test_without_frame_numbers_there_is_a_pose_for_each_true_one():
 def test_trajectories_that_do_not_fit_are_named():
     names = ("p.txt", "g.txt")
     with pytest.raises(InputError, match=r"p\.txt has 5 poses but g\.txt has 8"):
-        paired(trajectory(range(5), indexed=False), trajectory(range(8), indexed=False), names)
+        pair_frames(trajectory(range(5), indexed=False), trajectory(range(8), indexed=False), names)
     with pytest.raises(InputError, match=r"p\.txt has frames 8 to 9 and g\.txt 0 to 7: none in common"):
-        paired(trajectory([8, 9]), trajectory(range(8), indexed=False), names)
+        pair_frames(trajectory([8, 9]), trajectory(range(8), indexed=False), names)
 
 
 def test_published_files_are_read():
@@ -155,4 +155,4 @@ def test_published_files_are_read():
     assert read.indexed and read.frames.tolist() == list(range(2, 1591))
     truth = read_trajectory(REAL / "poses" / "09.txt")
     assert not truth.indexed and len(truth.poses) == 1591
-    assert len(paired(read, truth)[0]) == 1589
+    assert len(pair_frames(read, truth)[0]) == 1589

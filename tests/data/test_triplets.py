@@ -4,7 +4,7 @@ import pytest
 from small_kitti import DRIVE, write_calibration, write_drive
 
 from dualdepth.data.kitti import Frame, image_path
-from dualdepth.data.triplets import drive_triplets, load_triplets, missing_neighbours, name_missing, read_targets, write_targets
+from dualdepth.data.triplets import drive_triplets, load_triplets, missing_files_error, missing_neighbours, read_targets, write_targets
 from dualdepth.errors import InputError
 
 OTHER = "2011_09_28/2011_09_28_drive_0002_sync"
@@ -78,7 +78,7 @@ def test_missing_neighbours_are_found_once_each(root):
 
 def test_one_message_names_all_missing_files_in_one_line(root):
     missing = [(frame, frame.camera) for frame in missing_neighbours(root, [Frame(DRIVE, 4), Frame(OTHER, 1), Frame(OTHER, 7)])]
-    message = str(name_missing("to train on", root, [*missing, (Frame(OTHER, 3), "velodyne_points")]))
+    message = str(missing_files_error("to train on", root, [*missing, (Frame(OTHER, 3), "velodyne_points")]))
     assert "8 files to train on are missing" in message
     assert f"{DRIVE}/image_02/data 0000000004;" in message
     assert f"{OTHER}/image_02/data 0000000000-0000000002, 0000000006-0000000008;" in message
@@ -87,7 +87,7 @@ def test_one_message_names_all_missing_files_in_one_line(root):
 
 
 def test_a_whole_missing_drive_is_one_range(root):
-    message = str(name_missing("to train on", root, [(Frame(OTHER, i), "image_02") for i in range(5000)]))
+    message = str(missing_files_error("to train on", root, [(Frame(OTHER, i), "image_02") for i in range(5000)]))
     assert f"5000 files to train on are missing: {OTHER}/image_02/data 0000000000-0000004999;" in message
 
 

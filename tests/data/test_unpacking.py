@@ -13,7 +13,7 @@ import pytest
 from loopback import zip_of
 from tqdm import tqdm
 
-from dualdepth.data.unpacking import BadArchiveError, unpack, unpack_tar
+from data_scripts.archives import BadArchiveError, unpack, unpack_tar
 from dualdepth.errors import InputError
 
 

@@ -10,7 +10,7 @@ import loopback
 import pytest
 
 from data_scripts import download_kitti as script
-from dualdepth.data import download, sources
+from data_scripts import fetch, sources
 
 DAY, DRIVE = "2011_09_26", "2011_09_26_drive_0095_sync"
 CALIB_ADDRESS = "raw_data/2011_09_26_calib.zip"
@@ -31,7 +31,7 @@ def drive_zip(name):
 @pytest.fixture
 def server(monkeypatch):
     monkeypatch.setenv("no_proxy", "127.0.0.1")
-    monkeypatch.setattr(download, "PAUSES", (0.0, 0.0))
+    monkeypatch.setattr(fetch, "PAUSES", (0.0, 0.0))
     with loopback.running() as running:
         running.files[CALIB_ADDRESS] = loopback.zip_of({f"{DAY}/calib_cam_to_cam.txt": b"P_rect_02: 1 0 0\n"})
         for number in ("0095", "0052", "0013"):

@@ -15,7 +15,7 @@ import pytest
 from scipy.io import savemat
 
 from data_scripts import download_make3d as script
-from dualdepth.data import download
+from data_scripts import fetch
 from dualdepth.data.make3d import find_pairs
 
 PHOTOS, GRIDS = "Test134.tar.gz", "Test134Depth.tar.gz"
@@ -54,7 +54,7 @@ def grids(**changes):
 @pytest.fixture
 def server(monkeypatch):
     monkeypatch.setenv("no_proxy", "127.0.0.1")
-    monkeypatch.setattr(download, "PAUSES", (0.0, 0.0))
+    monkeypatch.setattr(fetch, "PAUSES", (0.0, 0.0))
     monkeypatch.setattr(script, "MAKE3D_PHOTOS", len(NAMES))
     with loopback.running() as running:
         running.files[PHOTOS] = tar_of(photos(**{"._img-a-p-001t000.jpg": b"of another system", "Readme": b"read me"}))

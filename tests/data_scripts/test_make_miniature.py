@@ -17,7 +17,7 @@ from data_scripts.miniature.frames import grid_intrinsics
 from dualdepth.data import kitti
 from dualdepth.data.lidar import ground_truth
 from dualdepth.errors import InputError
-from dualdepth.sections import World
+from dualdepth.settings import World
 
 REPOSITORY = Path(__file__).parents[2]
 SETTINGS = {

@@ -8,16 +8,16 @@ import pytest
 from own_film import SIZE, chessboards, frame, write_frames, write_video
 
 from data_scripts import own_camera, prepare_data
-from dualdepth.data import own
+from data_scripts.own import dataset
 from dualdepth.data.kitti import intrinsics, read_frame_list, read_image
 from dualdepth.data.triplets import load_triplets
 from dualdepth.errors import InputError
-from dualdepth.results import Run, project_root
-from dualdepth.scoring import scored_frames, truth
+from dualdepth.run import Run, project_root
+from dualdepth.tables.scoring import scored_frames, truth
 
 SHARED = project_root().parent / "shared" / "data"
 GIVEN = {"intrinsics": "205,205,127.5,107.5"}
-TRAIN, SHOWN = own.drive_name(1), own.drive_name(2)
+TRAIN, SHOWN = dataset.drive_name(1), dataset.drive_name(2)
 
 
 @pytest.fixture
@@ -46,7 +46,7 @@ def test_a_folder_becomes_a_data_set_whose_frames_are_the_very_files(folder, tmp
     assert [f.name for f in files] == [f"{k:010d}.png" for k in range(33)]  # 4 are held out, 3 lie between
     assert files[7].read_bytes() == (folder / "000007.png").read_bytes()
     assert images(made.root, SHOWN)[0].read_bytes() == (folder / "000036.png").read_bytes()
-    assert np.allclose(intrinsics(made.root, own.DATE), [[205, 0, 127.5], [0, 205, 107.5], [0, 0, 1]])
+    assert np.allclose(intrinsics(made.root, dataset.DATE), [[205, 0, 127.5], [0, 205, 107.5], [0, 0, 1]])
     assert [f.index for f in read_frame_list(made.root / "lists/test_files.txt")] == [0, 1, 2, 3]
     record = json.loads((made.root / "own.json").read_text())
     assert record["triplets"] == 31 and record["camera"]["origin"] == "given as numbers" and set(record["checks"].values()) == {"passed"}
@@ -102,7 +102,7 @@ def test_a_chessboard_straightens_the_frames_and_says_so(tmp_path, folder):
     assert "frames undistorted" in made.record["undistorted_to"]["origin"]
     straight = read_image(images(made.root, TRAIN)[4]).astype(float)
     assert np.abs(straight - frame(4)).mean() > 3, "the frames are written as they were filmed"
-    assert intrinsics(made.root, own.DATE)[0, 0] == pytest.approx(made.record["undistorted_to"]["fx"], abs=1e-3)
+    assert intrinsics(made.root, dataset.DATE)[0, 0] == pytest.approx(made.record["undistorted_to"]["fx"], abs=1e-3)
 
 
 def test_the_same_again_is_kept_and_other_options_are_refused(folder, tmp_path):
@@ -123,7 +123,7 @@ def test_a_folder_with_something_else_is_left_alone(folder, tmp_path):
 def test_nothing_is_left_of_a_run_that_fails_and_a_killed_one_is_redone(folder, tmp_path, monkeypatch):
     remains = tmp_path / ".out.part/2000_01_01"
     remains.mkdir(parents=True)
-    monkeypatch.setattr(own, "write_lists", lambda *_: 1 / 0)
+    monkeypatch.setattr(dataset, "write_lists", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         own_camera.make([folder], tmp_path / "out", **GIVEN)
     assert not (tmp_path / "out").exists() and not (tmp_path / ".out.part").exists()
@@ -190,7 +190,7 @@ def test_sequence_06_of_real_kitti_becomes_a_data_set(tmp_path):
     made = own_camera.make([sequence / "image_0"], tmp_path / "out", intrinsics=str(sequence / "calib_p0_p1.txt"))
     assert made.record["triplets"] == 41 and made.record["hr_size"] == [384, 1248]
     assert images(made.root, TRAIN)[3].read_bytes() == (sequence / "image_0/000003.png").read_bytes()
-    assert intrinsics(made.root, own.DATE)[0, 0] == pytest.approx(707.0912)
+    assert intrinsics(made.root, dataset.DATE)[0, 0] == pytest.approx(707.0912)
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="real KITTI (../shared/data) is not here")

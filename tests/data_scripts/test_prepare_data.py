@@ -11,7 +11,7 @@ from data_scripts import prepare_data
 from dualdepth.cli import main as command
 from dualdepth.data.depth_maps import load_ground_truth
 from dualdepth.errors import InputError
-from dualdepth.results import Run, project_root
+from dualdepth.run import Run, project_root
 
 SHARED = project_root().parent / "shared" / "data"
 needs_kitti = pytest.mark.skipif(not SHARED.is_dir(), reason="real KITTI frames (../shared/data) are not here")

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from dualdepth.errors import InputError
-from dualdepth.evaluation.depth import METRICS, Protocol, crop_box, errors, evaluate, median, resized, summary, valid_pixels
+from dualdepth.evaluation.depth import METRICS, Protocol, crop_box, errors, evaluate, median, resize_bilinear, summary, valid_pixels
 
 
 def slow_scores(prediction, ground_truth, kind, resize, crop, min_depth, max_depth, scaling):
@@ -166,7 +166,7 @@ def test_resizing_depth_and_disparity_differ():
 @pytest.mark.parametrize("size", [(37, 61), (5, 7), (12, 20), (96, 50)])
 def test_torch_resizes_as_opencv(size):
     values = sample(0)[0]
-    np.testing.assert_allclose(resized(torch.from_numpy(values), size).numpy(), resized(values, size), rtol=2e-5, atol=1e-6)
+    np.testing.assert_allclose(resize_bilinear(torch.from_numpy(values), size).numpy(), resize_bilinear(values, size), rtol=2e-5, atol=1e-6)
 
 
 @pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU"))])

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from dualdepth.data.trajectories import read_trajectory
+from dualdepth.data.odometry import read_trajectory
 from dualdepth.evaluation import odometry
 from dualdepth.evaluation.odometry import snippet_errors, snippets, trajectory_errors
 

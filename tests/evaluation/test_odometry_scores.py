@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dualdepth.data.trajectories import Trajectory
+from dualdepth.data.odometry import Trajectory
 from dualdepth.errors import InputError
 from dualdepth.evaluation import odometry
 from dualdepth.evaluation.odometry import aligned, relative, segment_errors, snippet_errors, snippets, trajectory_errors, umeyama

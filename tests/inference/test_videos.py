@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from small_kitti import wall
 
-from dualdepth.data.video import Video
+from dualdepth.data.frames import Video
 from dualdepth.inference.videos import WIDEST, video_writer
 
 

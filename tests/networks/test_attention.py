@@ -8,7 +8,8 @@ import pytest
 import torch
 from torch.autograd import gradcheck
 
-from dualdepth.networks.attention import WIDTH, Normalise, SelfAssembledAttention, Similarity, coordinates, distances
+from dualdepth.networks.architecture import Normalise, Similarity
+from dualdepth.networks.attention import WIDTH, SelfAssembledAttention, coordinates, distances
 
 CHANNELS, SIZE = 5, (2, 3)
 SIMILARITIES, NORMALISES = get_args(Similarity), get_args(Normalise)

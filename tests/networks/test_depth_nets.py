@@ -6,7 +6,7 @@ from torch import nn
 
 from dualdepth.evaluation.cost import count
 from dualdepth.networks.decoder import Decoder
-from dualdepth.networks.lr_net import LRNet
+from dualdepth.networks.depth_nets import LRNet
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,9 @@ import torch
 from torch import nn
 
 from dualdepth.evaluation.cost import count
+from dualdepth.networks.architecture import Link
 from dualdepth.networks.attention import SelfAssembledAttention
-from dualdepth.networks.dual_net import BothDepths, DualNet, Link
-from dualdepth.networks.lr_net import LRNet
+from dualdepth.networks.depth_nets import BothDepths, DualNet, LRNet
 
 SIZE = (192, 288)
 DEEPEST = 64

@@ -8,8 +8,8 @@ from torch import nn
 from torch.nn import functional as F
 
 from dualdepth.errors import InputError
+from dualdepth.networks.depth_nets import LRNet
 from dualdepth.networks.encoders import IMAGENET_MEAN, make_encoder
-from dualdepth.networks.lr_net import LRNet
 
 CHANNELS = {
     "resnet18": (64, 64, 128, 256, 512),

@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import nn
 
-from dualdepth.networks.hr_net import HREncoder, HRNet
+from dualdepth.networks.depth_nets import HREncoder, HRNet
 
 WIDTHS = (32, 64, 128, 128, 128)
 SIZE = (64, 96)

@@ -28,22 +28,7 @@ from damages import (
     turned,
 )
 from loopback import zip_of
-from worlds import (
-    CAMERAS,
-    CHECKPOINT,
-    DAY,
-    FRAME,
-    GRIDS,
-    IMPROVED,
-    LASER,
-    PHOTOS,
-    SCAN,
-    WEIGHTS,
-    ZIP,
-    grid,
-    photo,
-    tar_of,
-)
+from worlds import CAMERAS, CHECKPOINT, DAY, FRAME, GRIDS, IMPROVED, LASER, PHOTOS, SCAN, WEIGHTS, ZIP, grid, photo, tar_of
 
 
 class Case(NamedTuple):

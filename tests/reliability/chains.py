@@ -25,9 +25,10 @@ import numpy as np
 import pandas as pd
 import psutil
 
-from dualdepth.checkpoints import finished_card, load_checkpoint
-from dualdepth.lock import holder
-from dualdepth.results import project_root
+from dualdepth.files import holder
+from dualdepth.run import project_root
+from dualdepth.training.checkpoints import load_checkpoint
+from dualdepth.training.weights import finished_card
 from tests.reliability.counting import same_bytes, write_count
 from tests.small_encoder import save_encoder
 

@@ -17,8 +17,8 @@ import pandas as pd
 import torch
 from safetensors.torch import load
 
-from dualdepth.checkpoints import checkpoint_paths
-from dualdepth.results import Run
+from dualdepth.run import Run
+from dualdepth.training.checkpoints import checkpoint_paths
 from tests.reliability.counting import write_count
 from tests.reliability.kills import finish, make_checkout, outcome, start
 

@@ -25,13 +25,13 @@ import pandas as pd
 import psutil
 import torch
 
-from dualdepth.checkpoints import checkpoint_paths
+from data_scripts.prepare_data import write_identity, write_training_index
 from dualdepth.data.triplets import drive_triplets
-from dualdepth.memory import keep_freed_memory
-from dualdepth.preparation import Sources, write_identity, write_training_index
-from dualdepth.results import Run
-from dualdepth.training_log import read_log
-from dualdepth.trainings import train_variant
+from dualdepth.device import keep_freed_memory
+from dualdepth.run import Run, Sources
+from dualdepth.training.checkpoints import checkpoint_paths
+from dualdepth.training.log import read_log
+from dualdepth.training.variants import train_variant
 from tests.reliability.counting import same_bytes, write_count
 from tests.small_encoder import save_encoder
 from tests.small_kitti import DRIVE, write_calibration, write_drive

@@ -20,8 +20,8 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from dualdepth.atomic import write_json, write_text
-from dualdepth.results import Run, project_root
+from dualdepth.files import write_json, write_text
+from dualdepth.run import Run, project_root
 
 OUT = project_root() / "results" / "published" / "reliability.csv"
 STAMP = ("device", "made", "version", "revision", "dirty", "lock_sha256", "python", "machine")

@@ -9,11 +9,10 @@ from bad_inputs import CASES, Case
 from loopback import running
 from worlds import SERVED, WORLDS
 
-from data_scripts import download_make3d
+from data_scripts import download_make3d, fetch
 from dualdepth.cli import main
-from dualdepth.commands.reproduce import parse_seeds
-from dualdepth.data import download
 from dualdepth.errors import InputError
+from dualdepth.run import parse_seeds
 
 REPOSITORY = Path(__file__).parents[2]
 LOGS = ("log.csv", "events.out.tfevents", "panels", "seed0/lock")
@@ -35,7 +34,7 @@ def quiet_torch():
 @pytest.fixture
 def server(monkeypatch):
     monkeypatch.setenv("no_proxy", "127.0.0.1")
-    monkeypatch.setattr(download, "PAUSES", (0.0, 0.0))
+    monkeypatch.setattr(fetch, "PAUSES", (0.0, 0.0))
     monkeypatch.setattr(download_make3d, "MAKE3D_PHOTOS", 1)
     with running() as loopback:
         yield loopback

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from dualdepth.lock import holder
+from dualdepth.files import holder
 from tests.reliability.chains import Chain, try_kills
 from tests.small_chain import SmallChain
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import torch
 
-from dualdepth.checkpoints import last_checkpoint
-from dualdepth.predict import load_depth_net, predict_disparities
+from dualdepth.inference.predict import load_depth_net, predict_disparities
+from dualdepth.training.checkpoints import last_checkpoint
 from tests.reliability.ddp import Pair, largest_difference, start_two, wait_for_step, weights_of
 from tests.reliability.kills import finish, start
 
@@ -107,7 +107,7 @@ def test_predictions_are_shared_and_each_image_counts_once(pair, single, tmp_pat
 @pytest.mark.slow
 def test_weights_trained_by_hand_are_taken_by_the_chain(pair, capsys):
     """`torchrun … dualdepth train` first, the chain afterwards, which has one process and may cut batches otherwise."""
-    from dualdepth.trainings import train_variant
+    from dualdepth.training.variants import train_variant
 
     run = pair.run(accumulate=1)
     for process in start_two(run, "lr"):

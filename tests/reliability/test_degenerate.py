@@ -4,10 +4,10 @@ import pytest
 import torch
 from test_hr_stage import batch_of, dual_of, stage_of  # noqa: F401
 
-from dualdepth import stages as stages_module
-from dualdepth.config import load_profile
 from dualdepth.networks.pose_net import POSE_SCALE
-from dualdepth.stages import LRStage
+from dualdepth.profile import load_profile
+from dualdepth.training import stages as stages_module
+from dualdepth.training.stages import Stage
 
 # ruff: noqa: F811
 SIZE = (192, 192)
@@ -25,7 +25,7 @@ def stages(dual_of):
             with pytest.MonkeyPatch.context() as patched:  # instead of the profile's large ones
                 patched.setattr(stages_module, "LRNet", lambda *_, **__: lr_net)
                 patched.setattr(stages_module, "PoseNet", lambda *_, **__: pose_net)
-                stage = LRStage(profile).requires_grad_()
+                stage = Stage(profile).requires_grad_()
         return stage.train()
 
     return make

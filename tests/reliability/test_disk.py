@@ -10,9 +10,9 @@ import pytest
 from small_training import at_forward, equal, kill_softly, profile_of, quiet_torch, triplets  # noqa: F401
 from small_training import run as run_with  # noqa: F401
 
-from dualdepth.atomic import write_json
-from dualdepth.checkpoints import checkpoint_path, last_checkpoint, load_checkpoint
 from dualdepth.errors import InputError
+from dualdepth.files import write_json
+from dualdepth.training.checkpoints import checkpoint_path, last_checkpoint, load_checkpoint
 
 # ruff: noqa: F811
 

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from dualdepth.onnx_session import load_onnx
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
@@ -20,17 +21,17 @@ from small_onnx import HEIGHT, WIDTH
 from small_onnx import write as write_onnx
 from strategies import FUZZ, bytes_of, values_of
 
-from dualdepth import predict
-from dualdepth.checkpoints import load_card, load_checkpoint, load_weights, save_checkpoint, save_weights
+from data_scripts.archives import unpack, unpack_tar
 from dualdepth.data import lidar, make3d
 from dualdepth.data.depth_maps import load_ground_truth, save_ground_truth
 from dualdepth.data.kitti import Frame, read_image
 from dualdepth.data.label_maps import read_label_map
-from dualdepth.data.unpacking import unpack, unpack_tar
 from dualdepth.errors import InputError
 from dualdepth.evaluation.depth import evaluate, summary
 from dualdepth.evaluation.predictions import load_predictions
-from dualdepth.onnx_session import load_onnx
+from dualdepth.inference import predict
+from dualdepth.training.checkpoints import load_checkpoint, save_checkpoint
+from dualdepth.training.weights import load_card, load_weights, save_weights
 
 pytestmark = pytest.mark.fuzz
 

@@ -10,23 +10,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import FUZZ, bytes_of, values_of
 
-from data_scripts import download_kitti, download_make3d
-from dualdepth.checkpoints import load_card
-from dualdepth.commands.reproduce import parse_parameters, parse_seeds
-from dualdepth.config import load_profile
-from dualdepth.data import kitti, sources
-from dualdepth.data.camera import camera_of_file
+from data_scripts import download_kitti, download_make3d, sources
+from data_scripts.own.camera import camera_of_file
+from data_scripts.own.dataset import read_record
+from dualdepth.commands.reproduce import parse_parameters
+from dualdepth.data import kitti
 from dualdepth.data.lidar import map_size, velodyne_projection
-from dualdepth.data.odometry import COLUMNS, frame_files, load_odometry_triplets, sequence_intrinsics
-from dualdepth.data.own import read_record
-from dualdepth.data.trajectories import paired, read_trajectory
+from dualdepth.data.odometry import COLUMNS, frame_files, load_odometry_triplets, pair_frames, read_trajectory, sequence_intrinsics
 from dualdepth.data.triplets import drive_triplets, load_triplets
 from dualdepth.errors import InputError
+from dualdepth.evaluation.leaks import check_leak
 from dualdepth.evaluation.odometry import trajectory_errors
-from dualdepth.leaks import check_leak
-from dualdepth.preparation import Sources
-from dualdepth.results import Run
-from dualdepth.scoring import scored_frames
+from dualdepth.profile import load_profile
+from dualdepth.run import Run, Sources, parse_seeds
+from dualdepth.tables.scoring import scored_frames
+from dualdepth.training.weights import load_card
 
 pytestmark = pytest.mark.fuzz
 
@@ -68,7 +66,7 @@ def trajectory(folder: Path) -> None:
     whole = folder / "whole.txt"
     whole.write_bytes(POSES)
     prediction, truth = read_trajectory(folder / "damaged"), read_trajectory(whole)
-    paired(prediction, truth)
+    pair_frames(prediction, truth)
     trajectory_errors(truth, prediction, "7dof")
 
 

@@ -13,9 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import FUZZ
 
+from data_scripts import sources
 from dualdepth.cli import main
 from dualdepth.commands.reproduce import parse_parameters
-from dualdepth.data import sources
 
 REPOSITORY = Path(__file__).parents[2]
 SOURCES = [path for folder in ("dualdepth", "data_scripts") for path in sorted((REPOSITORY / folder).rglob("*.py"))]

@@ -10,8 +10,8 @@ import time
 
 import pytest
 
-from dualdepth.checkpoints import checkpoint_paths, last_checkpoint
-from dualdepth.results import Run, project_root
+from dualdepth.run import Run, project_root
+from dualdepth.training.checkpoints import checkpoint_paths, last_checkpoint
 from tests.reliability.kills import make_checkout
 
 

@@ -17,12 +17,12 @@ from small_encoder import save_encoder
 from small_kitti import write_calibration, write_drive
 
 from data_scripts import download_kitti, download_make3d, export_depth
-from dualdepth.atomic import write_text
-from dualdepth.checkpoints import save_weights
 from dualdepth.cli import main
 from dualdepth.data.depth_maps import save_ground_truth
 from dualdepth.data.label_maps import read_label_map
 from dualdepth.errors import exit_on_input_error
+from dualdepth.files import write_text
+from dualdepth.training.weights import save_weights
 
 Call = Callable[[], int]
 DAY = "2011_09_26"
@@ -79,9 +79,9 @@ def improved(folder: Path) -> Call:
 
 def training(folder: Path, suffix: str = ".png", variant: str = "lr") -> Call:
     """`train`, one step of a small network on one triplet."""
+    from data_scripts.prepare_data import write_identity, write_training_index
     from dualdepth.data.triplets import drive_triplets
-    from dualdepth.preparation import Sources, write_identity, write_training_index
-    from dualdepth.results import Run
+    from dualdepth.run import Run, Sources
 
     Path("notebooks").mkdir()
     Path("Snakefile").touch()
@@ -109,7 +109,7 @@ def training(folder: Path, suffix: str = ".png", variant: str = "lr") -> Call:
 
 def untrained_lr(run) -> None:
     """Weights of stage 1 as a training writes them, without the training."""
-    from dualdepth.building import architecture, make_stage
+    from dualdepth.training.variants import architecture, make_stage
 
     variant, profile = run.profile.variant("lr"), run.profile.of_variant("lr")
     card = architecture(variant, profile).words() | {"hr_size": [192, 192], "variant": "lr", "seed": 0, "steps": 1, "pretrained": False}

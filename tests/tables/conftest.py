@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dualdepth.atomic import write_json
 from dualdepth.evaluation.depth import METRICS
-from dualdepth.results import Run
+from dualdepth.files import write_json
+from dualdepth.run import Run
 from dualdepth.tables import rows
 
 

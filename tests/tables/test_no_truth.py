@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from dualdepth import scoring
 from dualdepth.evaluation.depth import METRICS
-from dualdepth.tables import ablation, distance, main, sharpness
+from dualdepth.tables import ablation, distance, main, scoring, sharpness
 from dualdepth.tables.rows import NO_TRUTH, compare_trainings, training_row
 
 OWN = "about: a test\ndata: {source: own}\n"

@@ -3,7 +3,7 @@
 import pytest
 
 from dualdepth import paper
-from dualdepth.config import standard_variants
+from dualdepth.profile import standard_variants
 from dualdepth.tables.ablation import CLAIMS, ROWS, ablation_claims, ablation_table
 
 VALUES = {"lr": 0.30, "dual_no_sa": 0.22, "dual": 0.20, "dual_embedding_only": 0.20, "hr_only": 0.50}

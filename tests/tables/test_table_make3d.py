@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from dualdepth import make3d_scoring, paper
+from dualdepth import paper
 from dualdepth.data.depth_maps import save_ground_truth
 from dualdepth.errors import InputError
 from dualdepth.evaluation.make3d import CONVENTIONS, METRICS, ROWS, visible
-from dualdepth.preparation import Sources
-from dualdepth.tables import make3d
+from dualdepth.run import Sources
+from dualdepth.tables import make3d, make3d_scoring
 from dualdepth.tables.make3d import NOT_RUN, VARIANTS, load_photos, make3d_claims, make3d_examples, make3d_table, score_make3d
 from dualdepth.tables.rows import COMPARISON
 

@@ -8,7 +8,6 @@ import pandas as pd
 import pytest
 
 from dualdepth import paper
-from dualdepth.checkpoints import load_card
 from dualdepth.evaluation.depth import METRICS
 from dualdepth.evaluation.statistics import Comparison
 from dualdepth.tables import rows
@@ -23,6 +22,7 @@ from dualdepth.tables.rows import (
     training_row,
     with_paper,
 )
+from dualdepth.training.weights import load_card
 
 KITTI = "about: x\ndata:\n  source: kitti\n  train_list: eigen_zhou\n"
 

@@ -5,16 +5,16 @@ import numpy as np
 import pytest
 
 from dualdepth import paper
-from dualdepth.atomic import write_json
 from dualdepth.data.label_maps import label_path
 from dualdepth.errors import InputError
 from dualdepth.evaluation.depth import METRICS
 from dualdepth.evaluation.regions import REGIONS
-from dualdepth.preparation import Sources
-from dualdepth.scoring import label_map, scored_frames
+from dualdepth.files import write_json
+from dualdepth.run import Sources
 from dualdepth.tables import sa_region
 from dualdepth.tables.rows import COMPARISON
 from dualdepth.tables.sa_region import NO_LABELS, gain_row, labels_made_by, sa_region_claims, sa_region_table, score_region
+from dualdepth.tables.scoring import label_map, scored_frames
 
 ROAD, GREEN = REGIONS
 FAULT = {("dual_no_sa", ROAD): 0.3, ("dual", ROAD): 0.1, ("dual_no_sa", GREEN): 0.1, ("dual", GREEN): 0.15}

@@ -6,12 +6,12 @@ import pandas as pd
 import pytest
 
 from dualdepth import paper
-from dualdepth.evaluation.depth import resized
+from dualdepth.evaluation.depth import resize_bilinear
 from dualdepth.evaluation.objects import POLE
 from dualdepth.evaluation.sharpness import boundary_scores, tenengrad
-from dualdepth.scoring import Predictions
 from dualdepth.tables import sharpness
 from dualdepth.tables.rows import COMPARISON
+from dualdepth.tables.scoring import Predictions
 from dualdepth.tables.sharpness import NO_DENSE_TRUTH, THRESHOLDS, detail_claims, detail_table, sharpness_table
 
 TEXT = """
@@ -74,12 +74,12 @@ def test_a_row_is_tenengrad_of_the_scaled_or_normalised_map_at_its_size_over_ima
     table = sharpness_table(run, [0, 1]).query("source == 'measured'").set_index(["map", "size", "threshold", "method"])["tenengrad"]
     small = [cv2.resize(np.where(d > 0, d, 80), (64, 64), interpolation=cv2.INTER_AREA) for d, _ in SCENES]
     # at the second seed depth is half as far again, and clamped at 80 m
-    sizes = {"native": small, "common": [resized(d, (192, 192)) for d in small]}
+    sizes = {"native": small, "common": [resize_bilinear(d, (192, 192)) for d in small]}
     for size, maps in sizes.items():
         depths = [np.minimum(depth * factor, 80) for depth in maps for factor in (1, 1.5)]
         for t, expected in zip(THRESHOLDS["depth, m"], np.mean([tenengrad(d, THRESHOLDS["depth, m"]) for d in depths], axis=0)):
             assert table["depth, m", size, t, "w/o HR-Net"] == pytest.approx(expected, rel=1e-5)
-    inverses = [resized(1 / d, (192, 192)) for d in small]
+    inverses = [resize_bilinear(1 / d, (192, 192)) for d in small]
     kind = "inverse depth / its mean"
     expected = np.mean([tenengrad(i / i.mean(), [0.5]) for i in inverses])
     assert table[kind, "common", 0.5, "w/o HR-Net"] == pytest.approx(expected, rel=1e-5)  # the seeds' scale is gone
@@ -196,7 +196,7 @@ def test_exact_maps_beat_blurred_ones_at_boundaries_and_on_poles(run):
 def test_boundaries_are_scored_with_the_sky_at_the_farthest_depth(run):
     depth, _ = SCENES[0]
     small = cv2.resize(np.where(depth > 0, depth, 80), (64, 64), interpolation=cv2.INTER_AREA)
-    expected = boundary_scores(resized(small, (192, 192)), np.where(depth > 0, depth, 80))
+    expected = boundary_scores(resize_bilinear(small, (192, 192)), np.where(depth > 0, depth, 80))
     row = sharpness.score_boundaries(run, "lr", 0).loc[0]
     assert row.to_dict() == pytest.approx(expected, rel=1e-6)
     assert 0 < row["lateral_f1"] < 1
@@ -242,7 +242,7 @@ def test_exact_depth_at_each_size_is_what_that_size_could_reach(run):
         exact = np.where(depth > 0, depth, 80)
         small = exact.shape[0] // 3  # means of inverse depth over 3x3 pixels
         inverse = (1 / exact).reshape(small, 3, small, 3).mean(axis=(1, 3))
-        expected.append(boundary_scores(resized(1 / inverse, exact.shape), exact))
+        expected.append(boundary_scores(resize_bilinear(1 / inverse, exact.shape), exact))
     for column in ("f1", "lateral_precision", "lateral_recall", "lateral_f1"):
         assert own[f"boundary_{column}"] == pytest.approx(1)
         assert shrunk[f"boundary_{column}"] == pytest.approx(np.mean([e[column] for e in expected]), rel=1e-6)

@@ -1,0 +1,249 @@
+"""Downloads that resume and are verified, with the standard library alone.
+
+A download grows as `NAME.part`, beside it `NAME.part.etag` with the server's mark of that version of the file; it takes its name
+once it is whole and its checksum, where one is known, is right. A broken connection, or a second run, goes on where the first ended.
+"""
+
+import errno
+import hashlib
+import http.client
+import shutil
+import socket
+import ssl
+import time
+import urllib.error
+import urllib.parse
+import urllib.request
+from collections.abc import Callable
+from pathlib import Path
+from typing import NoReturn, TypeVar
+
+from tqdm import tqdm
+
+from dualdepth.errors import InputError
+from dualdepth.files import write_text
+
+LOOPBACK = ("127.0.0.1", "::1", "localhost")
+CHUNK = 1 << 18
+TIMEOUT = 30.0
+"""Seconds without a byte after which a connection counts as broken."""
+PAUSES = (1.0, 2.0, 5.0, 10.0, 30.0)
+"""Seconds before each new attempt; attempts are counted anew whenever bytes came."""
+BROKEN = (urllib.error.URLError, ConnectionError, TimeoutError, http.client.HTTPException)
+IF_OFFLINE = "if you have KITTI, give KITTI_ROOT"
+
+Result = TypeVar("Result")
+
+
+class NotThereError(InputError):
+    """The server has no such file."""
+
+
+class ChecksumError(InputError):
+    """A file's bytes are not those that were published."""
+
+
+class _NoRedirect(urllib.request.HTTPRedirectHandler):
+    def redirect_request(self, req, fp, code, msg, headers, newurl):
+        raise InputError(f"{req.full_url}: redirects to {newurl}, which is not followed; the public address may have moved")
+
+
+def remote_size(address: str, if_offline: str = IF_OFFLINE) -> int:
+    """Size in bytes that the server announces for a file, without downloading it.
+
+    Raises:
+        InputError: no network, no such file, or a server that does not say.
+    """
+
+    def ask() -> str | None:
+        with _open(address, method="HEAD") as response:
+            return response.headers["Content-Length"]
+
+    size = _with_retries(ask, address, if_offline)
+    if size is None:
+        raise InputError(f"{address}: the server does not say how large the file is; try again later")
+    return int(size)
+
+
+def fetch(address: str, path: str | Path, *, digest: str | None = None, bar: tqdm | None = None, if_offline: str = IF_OFFLINE) -> Path:
+    """Download `address` to `path`, going on from an earlier `.part`; a file that is already at `path` is only verified.
+
+    Args:
+        digest: `sha256:<hex>` or `md5:<hex>` of the whole file, where it is known.
+        bar: counts the bytes that the `.part` grows by (a restart counts back).
+        if_offline: the mend that the message names when there is no network.
+
+    Raises:
+        InputError: no network, no such file, a wrong checksum (the download is then deleted), a full disk.
+    """
+    path = Path(path)
+    if path.exists():
+        _verify(path, digest, f"it differs from {address}; delete it to have it downloaded again")
+        return path
+    partial, mark = part_of(path), path.with_name(f"{path.name}.part.etag")
+    try:
+        _with_retries(lambda: _transfer(address, partial, mark, bar), address, if_offline, lambda: part_size(path))
+        _verify(partial, digest, "the download is deleted; run again")
+        partial.replace(path)
+    except ChecksumError:
+        partial.unlink(missing_ok=True)
+        mark.unlink(missing_ok=True)
+        raise
+    except OSError as error:
+        raise disk_error(path, error) from None
+    mark.unlink(missing_ok=True)
+    return path
+
+
+def part_of(path: Path) -> Path:
+    """Where the unfinished download of `path` grows."""
+    return path.with_name(f"{path.name}.part")
+
+
+def part_size(path: Path) -> int:
+    """Bytes of `path` that are on disk already, whole or in part."""
+    for candidate in (path, part_of(path)):
+        if candidate.exists():
+            return candidate.stat().st_size
+    return 0
+
+
+def require_space(folder: Path, needed: float, what: str) -> None:
+    """Check that the disk of `folder` (which may not exist yet) has `needed` bytes free.
+
+    Raises:
+        InputError: it has not; the message names what is missing.
+    """
+    while not folder.exists():
+        folder = folder.parent
+    free = shutil.disk_usage(folder).free
+    if needed > free:
+        raise InputError(
+            f"{folder}: {what} needs {gigabytes(needed)} of disk and {gigabytes(free)} are free: "
+            f"{gigabytes(needed - free)} missing; free some, or choose another folder or fewer drives"
+        )
+
+
+def gigabytes(size: float) -> str:
+    """A size in bytes for people, in GB of 10⁹ bytes (MB below a tenth of that)."""
+    return f"{size / 1e9:.1f} GB" if size >= 1e8 else f"{size / 1e6:.1f} MB"
+
+
+def disk_error(path: Path, error: OSError) -> InputError:
+    """The one-line error of a file that could not be written."""
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return InputError(f"{path}: the disk is full; free some space and run again (the download goes on where it stopped)")
+    return InputError(f"{path}: cannot be written ({error.strerror or error})")
+
+
+def _verify(path: Path, digest: str | None, mend: str) -> None:
+    if digest is None:
+        return
+    method, expected = digest.split(":")
+    with open(path, "rb") as file:
+        found = hashlib.file_digest(file, method).hexdigest()
+    if found != expected:
+        raise ChecksumError(f"{path}: wrong checksum, {method} is {found[:16]}… and not {expected[:16]}…; {mend}")
+
+
+def _open(address: str, headers: dict[str, str] | None = None, method: str = "GET") -> http.client.HTTPResponse:
+    """Open an https address (plain http on loopback only); follows no redirect."""
+    parts = urllib.parse.urlsplit(address)
+    if parts.scheme != "https" and not (parts.scheme == "http" and parts.hostname in LOOPBACK):
+        raise InputError(f"{address}: only https addresses are downloaded")
+    # Identity, since ranges of a compressed transfer would not be ranges of the file.
+    request = urllib.request.Request(address, headers={"Accept-Encoding": "identity"} | (headers or {}), method=method)
+    try:
+        return urllib.request.build_opener(_NoRedirect).open(request, timeout=TIMEOUT)
+    except urllib.error.HTTPError as error:
+        error.close()
+        if error.code in (403, 404, 410):  # Amazon's storage answers 403 for a file that does not exist
+            raise NotThereError(f"{address}: not there (HTTP {error.code}); check the name") from None
+        if error.code in (416, 429) or error.code >= 500:
+            raise
+        raise InputError(f"{address}: the server refuses (HTTP {error.code} {error.reason})") from None
+
+
+def _transfer(address: str, partial: Path, mark: Path, bar: tqdm | None) -> None:
+    """One connection's worth of a download: append to `partial` if the server still has the same file, else start over."""
+    have = partial.stat().st_size if partial.exists() else 0
+    version = mark.read_text(encoding="utf-8") if have and mark.exists() else ""
+    headers = {"Range": f"bytes={have}-", "If-Range": version} if version else {}
+    try:
+        response = _open(address, headers)
+    except urllib.error.HTTPError as error:
+        if error.code == 416 and error.headers["Content-Range"] == f"bytes */{have}":
+            return  # nothing lies beyond what we have: an earlier run was stopped just before the end
+        if error.code == 416:
+            _discard(partial, mark, have, bar)
+        raise
+    with response:
+        if response.status == 206:
+            begins = (response.headers["Content-Range"] or "").startswith(f"bytes {have}-")
+            if not begins or _version(response) not in ("", version):  # a 206 need not repeat the date
+                _discard(partial, mark, have, bar)
+                raise ConnectionError("the server answered with another part of the file than asked for")
+        else:
+            _discard(partial, mark, have, bar)
+            have = 0
+            partial.parent.mkdir(parents=True, exist_ok=True)
+            if _version(response):
+                write_text(mark, _version(response))
+        length = response.headers["Content-Length"]
+        with open(partial, "ab") as file:
+            while chunk := _read(response):
+                file.write(chunk)
+                if bar is not None:
+                    bar.update(len(chunk))
+        if length is not None and partial.stat().st_size != have + int(length):
+            raise ConnectionError(f"the connection ended after {partial.stat().st_size} of {have + int(length)} bytes")
+
+
+def _read(response: http.client.HTTPResponse) -> bytes:
+    try:
+        return response.read(CHUNK)
+    except (OSError, http.client.HTTPException) as error:
+        # Told apart from an error of writing, which another attempt would not mend.
+        raise ConnectionError(str(error)) from None
+
+
+def _discard(partial: Path, mark: Path, have: int, bar: tqdm | None) -> None:
+    partial.unlink(missing_ok=True)
+    mark.unlink(missing_ok=True)
+    if bar is not None and have:
+        bar.update(-have)
+
+
+def _version(response: http.client.HTTPResponse) -> str:
+    """What names this version of the file in `If-Range`: a strong ETag, or the date; a weak ETag cannot serve."""
+    etag = response.headers["ETag"] or ""
+    return etag if etag and not etag.startswith("W/") else (response.headers["Last-Modified"] or "")
+
+
+def _with_retries(action: Callable[[], Result], address: str, if_offline: str, progress: Callable[[], int] = lambda: 0) -> Result:
+    """The result of `action`, tried again with growing pauses while connections break; bytes that came reset the count."""
+    failures, before = 0, progress()
+    while True:
+        try:
+            return action()
+        except BROKEN as error:
+            failures = 1 if progress() > before else failures + 1
+            before = progress()
+            reason = getattr(error, "reason", error)
+            patience = len(PAUSES)
+            if isinstance(reason, ssl.SSLCertVerificationError):
+                patience = 0
+            elif isinstance(reason, socket.gaierror) and not before:
+                patience = 1  # without a network at all nobody wants to wait
+            if failures > patience:
+                _give_up(address, error, reason, progress(), if_offline)
+            time.sleep(PAUSES[failures - 1])
+
+
+def _give_up(address: str, error: Exception, reason: object, received: int, if_offline: str) -> NoReturn:
+    host = urllib.parse.urlsplit(address).netloc
+    if isinstance(error, urllib.error.HTTPError):
+        raise InputError(f"{address}: the server fails (HTTP {error.code}); try again later") from None
+    if isinstance(error, urllib.error.URLError):
+        raise InputError(f"no network: {host} cannot be reached ({reason}); {if_offline}") from None
+    raise InputError(f"{address}: the connection keeps breaking ({error}); run again, it goes on after {gigabytes(received)}") from None

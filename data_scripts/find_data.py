@@ -1,0 +1,116 @@
+"""Where a profile's data are: the synthetic world is made, a user's folders are taken, or what is needed is downloaded (notebook 01)."""
+
+from pathlib import Path
+
+from data_scripts import download_kitti, make_miniature
+from data_scripts.own.dataset import read_record
+from data_scripts.sources import drive_archives, named_list
+from dualdepth.data.kitti import check_root, numbered_lines, read_frame_list
+from dualdepth.errors import InputError
+from dualdepth.run import RECORD, Run, Sources, check_roots
+
+MOST_SQUEEZED = 1.3
+"""Factor by which a profile may change the frames' shape; intrinsics follow, but what is seen looks strange to a network beyond it."""
+
+
+def find_data(
+    run: Run,
+    kitti_root: str = "",
+    test_list: str = "",
+    odometry_root: str = "",
+    make3d_root: str = "",
+    labels_root: str = "",
+    allow_leak: bool = False,
+) -> Sources:
+    """Make the synthetic world, or take the user's KITTI, or download what the profile needs; remember where it is.
+
+    The other benchmarks' folders are taken where they are given; without one its table says how to get it.
+
+    Raises:
+        InputError: a folder is not what it should be, or a list or download cannot be had.
+    """
+    others = {"odometry_root": odometry_root, "make3d_root": make3d_root, "labels_root": labels_root}
+    if run.profile.world:
+        given = [name.upper() for name, value in {"kitti_root": kitti_root, "test_list": test_list, **others}.items() if value]
+        if given:
+            raise InputError(f"profile {run.profile.name} makes its own data: {' and '.join(given)} belong to sample, paper or your own")
+        root = run.work / "miniature"
+        make_miniature.make_world(run.profile.world, root)
+        sources = world_sources(root)
+    else:
+        sources = kitti_sources(run, kitti_root, test_list) if run.profile.data.has_truth else own_sources(run, kitti_root, test_list)
+        check_roots(others)
+        sources = sources._replace(**{name: Path(value).resolve() if value else None for name, value in others.items()})
+    sources = sources._replace(allow_leak=allow_leak)
+    sources.save(run)
+    return sources
+
+
+def world_sources(root: Path) -> Sources:
+    """Sources of a synthetic world."""
+    lists = root / "lists"
+    drives = tuple((lists / "train_drives.txt").read_text(encoding="utf-8").split())
+    return Sources(
+        kitti_root=root / "kitti_raw",
+        test_list=lists / "test_files.txt",
+        train_drives=drives,
+        static_frames=lists / "static_frames.txt",
+        test_scenes=lists / "test_scenes.txt",
+        odometry_root=root / "kitti_odometry",
+        make3d_root=root / "make3d",
+        labels_root=root / "labels",
+    )
+
+
+def own_sources(run: Run, root: str, test_list: str) -> Sources:
+    """Sources of a data set that data_scripts/own_camera.py made.
+
+    Raises:
+        InputError: `root` is no such data set, or its frames are of quite another shape than the profile's hr_size.
+    """
+    make = "python data_scripts/own_camera.py VIDEO --out DIR makes one"
+    if not root:
+        raise InputError(f"profile {run.profile.name} trains on a data set of your own camera: give KITTI_ROOT=DIR; {make}")
+    record, data = read_record(root), run.profile.data
+    if record is None:
+        raise InputError(f"KITTI_ROOT {root}: holds no {RECORD}, so it is no data set of your own camera; {make}")
+    camera, (height, width) = record["camera"], data.hr_size
+    squeezed = camera["width"] / camera["height"] * height / width
+    if not 1 / MOST_SQUEEZED < squeezed < MOST_SQUEEZED:
+        raise InputError(
+            f"profile {run.profile.name}: hr_size {height}x{width} squeezes frames of {camera['width']}×{camera['height']}; give"
+            f" PROFILE={next(iter(sorted(Path(root).glob('*.yaml'))), 'own.yaml')}, which was written for them, or another hr_size"
+        )
+    lists = Path(root).resolve() / "lists"
+    drives = [line for _, line in numbered_lines(lists / "train_drives.txt")]
+    return Sources(
+        kitti_root=check_root(root).resolve(),
+        test_list=Path(test_list).resolve() if test_list else lists / "test_files.txt",
+        train_drives=tuple(drives),
+    )
+
+
+def kitti_sources(run: Run, kitti_root: str, test_list: str) -> Sources:
+    """Sources of real KITTI; without `kitti_root` the profile's drives are downloaded to `work/kitti`."""
+    data, home = run.profile.data, run.root / "work" / "kitti"
+
+    def listed(name: str | None) -> Path | None:
+        return named_list(name, home / "lists") if name else None
+
+    if not (test_list or data.test_list):
+        raise InputError(f"profile {run.profile.name} names no frames to score: give data.test_list or TEST_LIST")
+    named = Path(test_list or data.test_list)
+    scored = named if test_list or named.is_file() else named_list(data.test_list, home / "lists")
+    train_list = listed(f"{data.train_list}_train" if data.train_list else None)
+    if not kitti_root:
+        needed = {frame.drive for path in (scored, train_list) if path for frame in read_frame_list(path)}
+        needed |= {drive.partition(":")[0] for drive in data.train_drives}
+        cameras = {"image_02", "image_03", *data.cameras, *(d.partition(":")[2] for d in data.train_drives if ":" in d)}
+        download_kitti.download(drive_archives(sorted(needed)), home, cameras=sorted(cameras))
+    return Sources(
+        kitti_root=check_root(kitti_root or home).resolve(),
+        test_list=scored.resolve(),
+        train_list=train_list,
+        static_frames=listed(data.static_frames),
+        test_scenes=listed(data.test_scenes),
+    )

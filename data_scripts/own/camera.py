@@ -1,0 +1,211 @@
+"""The intrinsics of a user's own camera: given, found with a chessboard, or estimated from the field of view and said to be so."""
+
+import json
+import math
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+
+from dualdepth.data.kitti import calibration_entry, numbered_lines, read_calibration
+from dualdepth.errors import InputError
+
+FIELD = (20.0, 150.0)
+"""Horizontal fields of view, in degrees, that are believed: below is a telephoto lens, above a fisheye that no pinhole fits."""
+BOARDS = 8
+"""Views of the chessboard, at least."""
+MOST_BOARDS = 60
+"""Views of the chessboard, at most: more take minutes and change nothing."""
+REPROJECTION = 1.0
+"""Root mean square error of the chessboard's corners in pixels, at most; in frames wider than 1000 pixels a thousandth of the width."""
+KEYS = ("P_rect_02", "P2", "P_rect_00", "P0")
+"""Entries of KITTI's calibration files, in order of preference."""
+
+
+class Camera(NamedTuple):
+    """A camera in pixels of its frames; pixel (0, 0) is the centre of the first pixel."""
+
+    matrix: np.ndarray
+    """(3, 3) float64."""
+    size: tuple[int, int]
+    """(height, width) of the frames."""
+    origin: str
+    """Where the numbers are from, for the data set's record."""
+    distortion: tuple[float, ...] = ()
+    """OpenCV's k1, k2, p1, p2, k3; empty: none."""
+
+    @property
+    def field(self) -> float:
+        """Horizontal field of view in degrees."""
+        return 2 * math.degrees(math.atan(self.size[1] / 2 / self.matrix[0, 0]))
+
+    def record(self) -> dict[str, Any]:
+        """As JSON, which `camera_of_file` reads."""
+        fx, fy, cx, cy = (round(float(v), 4) for v in (*self.matrix.diagonal()[:2], *self.matrix[:2, 2]))
+        numbers = {"fx": fx, "fy": fy, "cx": cx, "cy": cy, "width": self.size[1], "height": self.size[0]}
+        return numbers | {"distortion": list(self.distortion), "field_of_view_degrees": round(self.field, 1), "origin": self.origin}
+
+
+def camera_of_numbers(text: str, size: tuple[int, int]) -> Camera:
+    """Camera of `fx,fy,cx,cy` in pixels of frames of `size` (height, width).
+
+    Raises:
+        InputError: no four finite numbers.
+    """
+    try:
+        fx, fy, cx, cy = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(
+            f"--intrinsics {text!r}: give fx,fy,cx,cy in pixels, such as 1000,1000,959.5,539.5, or a calibration file"
+        ) from None
+    return validate(Camera(_matrix(fx, fy, cx, cy), size, "given as numbers"), "--intrinsics")
+
+
+def camera_of_file(path: str | Path, size: tuple[int, int]) -> Camera:
+    """Camera of a calibration file: JSON with fx, fy, cx, cy (and width, height, distortion) or a data set's `own.json`, or KITTI's text.
+
+    Raises:
+        InputError: it cannot be read, holds no camera, or is of frames of another size.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".json":
+        return validate(Camera(_kitti_matrix(path, size), size, f"given in {path.name}"), str(path))
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+        values = values.get("camera", values)
+        matrix = _matrix(*(float(values[k]) for k in ("fx", "fy", "cx", "cy")))
+        distortion = tuple(float(v) for v in values.get("distortion", ()))
+        said = (int(values.get("height", size[0])), int(values.get("width", size[1])))
+        origin = str(values.get("origin", "given"))
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise InputError(f'{path}: holds no camera ({error!r}); give {{"fx": …, "fy": …, "cx": …, "cy": …}} in pixels') from None
+    if len(distortion) not in (0, 4, 5, 8) or not np.isfinite(distortion).all():
+        raise InputError(f"{path}: distortion has {len(distortion)} numbers; give OpenCV's k1, k2, p1, p2, k3, or none")
+    _check_size(path, said, size)
+    return validate(Camera(matrix, size, f"{origin}; read from {path.name}", distortion), str(path))
+
+
+def camera_of_field(degrees: float, size: tuple[int, int]) -> Camera:
+    """Camera with square pixels, its axis through the middle, estimated from the horizontal field of view alone.
+
+    Raises:
+        InputError: the field is not a believable one.
+    """
+    if not FIELD[0] <= degrees <= FIELD[1]:
+        raise InputError(
+            f"--fov {degrees:g}: give the horizontal field of view in degrees, {FIELD[0]:g} to {FIELD[1]:g}; phones have 60 to 75"
+        )
+    focal = size[1] / 2 / math.tan(math.radians(degrees / 2))
+    centre = (size[1] - 1) / 2, (size[0] - 1) / 2
+    return Camera(_matrix(focal, focal, *centre), size, f"ESTIMATED from a horizontal field of view of {degrees:g} degrees, not calibrated")
+
+
+def calibrate(views: Iterable[tuple[str, np.ndarray]], squares: tuple[int, int], size: tuple[int, int], what: str) -> Camera:
+    """Camera found with views of a chessboard (Z. Zhang, "A Flexible New Technique for Camera Calibration", PAMI 2000), by OpenCV.
+
+    Args:
+        views: names and images (H, W, 3) uint8 RGB.
+        squares: inner corners along and across the board; the number of its squares is understood, too.
+        size: (height, width) of the frames that the camera is for.
+        what: the views are of, for messages.
+
+    Raises:
+        InputError: views of another size, too few with the whole board in sight, or corners that no camera explains within `REPROJECTION`.
+    """
+    corners, patterns, seen = [], [squares, (squares[0] - 1, squares[1] - 1)], 0
+    for name, image in views:
+        seen += 1
+        if image.shape[:2] != size:
+            raise InputError(
+                f"{name}: has {image.shape[1]}×{image.shape[0]} pixels, the frames have {size[1]}×{size[0]}; film both in the same mode"
+            )
+        grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+        for pattern in [p for p in patterns if min(p) > 2]:
+            there, found = cv2.findChessboardCornersSB(grey, pattern, None)
+            if there:
+                patterns = [pattern]  # the same board in all views
+                corners.append(found.reshape(-1, 1, 2).astype(np.float32))
+                break
+    if len(corners) < BOARDS:
+        raise InputError(
+            f"{what}: the whole board of {squares[0]}x{squares[1]} was found in {len(corners)} of {seen} views, {BOARDS} are needed; check"
+            " --squares, and film the board sharp, flat, tilted each way, with a white margin, wholly in sight"
+        )
+    pattern = patterns[0]
+    board = np.zeros((pattern[0] * pattern[1], 3), np.float32)
+    board[:, :2] = np.mgrid[: pattern[0], : pattern[1]].T.reshape(-1, 2)
+    error, matrix, distortion, *_ = cv2.calibrateCamera([board] * len(corners), corners, size[::-1], None, None)
+    most = REPROJECTION * max(1.0, size[1] / 1000)
+    if not error <= most:
+        raise InputError(
+            f"{what}: the corners are off by {error:.2f} pixels (RMS), at most {most:.2f} is taken; use a flat board, sharp views and a"
+            " lens that neither zooms nor stabilises"
+        )
+    origin = f"chessboard, {pattern[0]}x{pattern[1]} inner corners in {len(corners)} of {seen} views, RMS error {error:.3f} pixels"
+    return validate(Camera(matrix, size, origin, tuple(float(v) for v in distortion.ravel())), what)
+
+
+def validate(camera: Camera, what: str) -> Camera:
+    """The camera, checked to be a believable one.
+
+    Raises:
+        InputError: numbers that are not finite, a field of view outside `FIELD`, pixels far from square, an axis outside of the frame.
+    """
+    (fx, _, cx), (_, fy, cy), _ = camera.matrix
+    height, width = camera.size
+    where = f"{what}: fx {fx:g}, fy {fy:g}, cx {cx:g}, cy {cy:g} for frames of {width}×{height}"
+    if not np.isfinite(camera.matrix).all() or min(fx, fy) <= 0:
+        raise InputError(f"{where}: the numbers must be finite and the focal lengths above 0, in pixels")
+    if not FIELD[0] <= camera.field <= FIELD[1]:
+        raise InputError(
+            f"{where}: a field of view of {camera.field:.0f} degrees, not {FIELD[0]:g} to {FIELD[1]:g}; give pixels of these frames, not"
+            " millimetres or pixels of another resolution"
+        )
+    if not 0.5 < fx / fy < 2:
+        raise InputError(f"{where}: fx and fy differ by more than a factor of two; give fx,fy,cx,cy in this order")
+    if not (0 <= cx < width and 0 <= cy < height):
+        raise InputError(f"{where}: the centre lies outside of the frame; give fx,fy,cx,cy in this order, in pixels of these frames")
+    return camera
+
+
+class Straightener:
+    """Undoes a camera's distortion, in frames of the same size without black margins; `camera` is that of what it makes."""
+
+    def __init__(self, camera: Camera) -> None:
+        matrix, size, lens = camera.matrix, camera.size[::-1], np.array(camera.distortion)
+        rectified, _ = cv2.getOptimalNewCameraMatrix(matrix, lens, size, 0.0)
+        self.camera = validate(Camera(rectified, camera.size, f"{camera.origin}; frames undistorted"), "the camera after undistortion")
+        self._maps = cv2.initUndistortRectifyMap(matrix, lens, None, rectified, size, cv2.CV_16SC2)
+
+    def __call__(self, image: np.ndarray) -> np.ndarray:
+        """The straight image (H, W, 3) uint8."""
+        return cv2.remap(image, *self._maps, cv2.INTER_LINEAR)
+
+
+def _matrix(fx: float, fy: float, cx: float, cy: float) -> np.ndarray:
+    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
+
+
+def _check_size(path: Path, said: tuple[int, int], size: tuple[int, int]) -> None:
+    if said != size:
+        raise InputError(
+            f"{path}: is of {said[1]}×{said[0]} pixels, the frames have {size[1]}×{size[0]}; calibrate with frames of the same mode"
+        )
+
+
+def _kitti_matrix(path: Path, size: tuple[int, int]) -> np.ndarray:
+    """From the first entry of `KEYS`, or of a file whose rows have no names from its first row."""
+    lines = numbered_lines(path)
+    try:
+        bare = np.array([float(word) for word in lines[0][1].split()]) if lines else np.array([])
+    except ValueError:
+        values = read_calibration(path)
+        key = next((k for k in KEYS if k in values), KEYS[0])
+        if (said := f"S_rect{key[-3:]}") in values and key.startswith("P_rect"):
+            width, height = calibration_entry(values, said, 2, path)
+            _check_size(path, (round(height), round(width)), size)
+    else:
+        values, key = {"first row": bare}, "first row"
+    return calibration_entry(values, key, 12, path).reshape(3, 4)[:, :3].copy()

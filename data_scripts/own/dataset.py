@@ -1,0 +1,139 @@
+"""A data set of a user's own camera, in KITTI's layout, so that all else reads it as it reads KITTI.
+
+Layout: `ROOT/2000_01_01/calib_cam_to_cam.txt`, `ROOT/2000_01_01/2000_01_01_drive_0001_sync/image_02/data/0000000000.jpg`,
+`ROOT/lists/train_drives.txt` and `test_files.txt` (frames held out, to be shown), `ROOT/own.json` (what it was made from and what was
+found), `ROOT/own.yaml` (a profile that fits it).
+"""
+
+import json
+import re
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from tqdm import tqdm
+
+from data_scripts.own.camera import Camera, Straightener
+from data_scripts.own.checks import Drive
+from dualdepth.data.frames import Footage
+from dualdepth.data.kitti import SUFFIXES
+from dualdepth.errors import InputError
+from dualdepth.profile import PROFILES
+from dualdepth.run import RECORD
+
+DATE = "2000_01_01"
+"""Stands where KITTI has the day of the recording; no day of KITTI's, so that its drives are never taken for KITTI's."""
+JPEG_QUALITY = 95
+PIXELS = 384 * 1248
+"""Pixels of HR-Net's input, at most: the paper's."""
+STEPS = {"lr": 1200, "hr": 400}
+"""Steps of 4 that the written profile asks for, about: those of profile `sample`."""
+
+
+def drive_name(number: int) -> str:
+    """`date/date_drive_XXXX_sync` of a drive, counted from 1."""
+    return f"{DATE}/{DATE}_drive_{number:04d}_sync"
+
+
+def fitting_size(size: tuple[int, int]) -> tuple[int, int]:
+    """HR-Net's input for frames of `size` (height, width): multiples of 96 of nearly their shape, as large as frames and paper allow.
+
+    Raises:
+        InputError: the frames are too small.
+    """
+    height, width = size
+    if min(size) < 175:
+        raise InputError(f"frames of {width}×{height} pixels are too small: film with at least 192 pixels on each side")
+    tall, wide = (range(192, int(max(192, 1.1 * side)) + 1, 96) for side in size)
+    choices = [(h, w) for h in tall for w in wide if h * w <= PIXELS]
+
+    def squeezed(choice: tuple[int, int]) -> float:
+        return float(np.exp(abs(np.log(choice[1] / choice[0] * height / width))))
+
+    alike = [c for c in choices if squeezed(c) < 1.06]
+    return max(alike, key=lambda c: c[0] * c[1]) if alike else min(choices, key=squeezed)
+
+
+def write_frames(
+    root: Path, footages: Sequence[Footage], drives: Sequence[Drive], straighten: Straightener | None, progress: bool = True
+) -> None:
+    """Write the drives' frames, numbered from 0: image files as they are, else JPEG; undistorted where there is a lens to undo."""
+    with tqdm(total=sum(len(d.numbers) for d in drives), desc="writing frames", unit="frame", disable=None if progress else True) as bar:
+        for place, footage in enumerate(footages):
+            targets = {
+                n: _folder(root, i) / f"{k:010d}" for i, d in enumerate(drives, 1) if d.footage == place for k, n in enumerate(d.numbers)
+            }
+            suffixes = {file.suffix.lower() for file in (footage.files or {}).values()}
+            # the chain looks up a drive's suffix once
+            copies = straighten is None and len(suffixes) == 1 and suffixes <= set(SUFFIXES)
+            for target in targets.values():
+                target.parent.mkdir(parents=True, exist_ok=True)
+            for still in footage.stills(targets):
+                target = targets[still.number]
+                if copies and still.file:
+                    shutil.copyfile(still.file, target.with_suffix(still.file.suffix.lower()))
+                else:
+                    image = straighten(still.image) if straighten else still.image
+                    _write_jpeg(target.with_suffix(".jpg"), image)
+                bar.update()
+
+
+def _write_jpeg(path: Path, image: np.ndarray) -> None:
+    done, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    if not done:
+        raise InputError(f"{path}: cannot be encoded")
+    path.write_bytes(data.tobytes())
+
+
+def _folder(root: Path, number: int) -> Path:
+    return root / drive_name(number) / "image_02" / "data"
+
+
+def write_calibration(root: Path, camera: Camera) -> None:
+    """Write KITTI's `calib_cam_to_cam.txt` with the one camera."""
+    projection = np.hstack([camera.matrix, np.zeros((3, 1))]).ravel()
+    numbers = " ".join(f"{value:.9g}" for value in projection)
+    path = root / DATE / "calib_cam_to_cam.txt"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(f"S_rect_02: {camera.size[1]} {camera.size[0]}\nP_rect_02: {numbers}\n", encoding="utf-8")
+
+
+def write_lists(root: Path, train: int, held_out: int) -> None:
+    """Write the training drives 1 … `train`, and the frames of the drive behind them, which are held out."""
+    (root / "lists").mkdir(parents=True, exist_ok=True)
+    (root / "lists" / "train_drives.txt").write_text("".join(f"{drive_name(k)}\n" for k in range(1, train + 1)), encoding="utf-8")
+    shown = "".join(f"{drive_name(train + 1)} {k:010d} l\n" for k in range(held_out))
+    (root / "lists" / "test_files.txt").write_text(shown, encoding="utf-8")
+
+
+def profile_text(hr_size: tuple[int, int], triplets: int) -> str:
+    """The profile `own` with a size that fits, and as many epochs as make about `STEPS`."""
+    text = (PROFILES / "own.yaml").read_text(encoding="utf-8")
+    size = f"hr_size: [{hr_size[0]}, {hr_size[1]}]           # nearest to the frames' shape; multiples of 96, at least 192"
+    text = re.sub(r"hr_size: \[.*?\] *#.*", size, text)
+    for stage, steps in STEPS.items():
+        epochs = int(np.clip(round(4 * steps / max(triplets, 1)), 1, 40))
+        why = f"# {epochs * (triplets // 4)} steps of 4 from {triplets} triplets; the paper has 40 epochs"
+        text = re.sub(rf"( {stage}:\n +epochs:) \d+ *#.*", rf"\1 {epochs:<18}{why}", text)
+    return text
+
+
+def read_record(root: str | Path) -> dict[str, Any] | None:
+    """What `own.json` says of a data set; None where there is none.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    path = Path(root) / RECORD
+    if not path.is_file():
+        return None
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+        if min(values["camera"]["width"], values["camera"]["height"]) > 0 and isinstance(values["made_from"], str):
+            return values
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise InputError(f"{path}: is no record of data_scripts/own_camera.py ({error!r}); make the data set again") from None
+    raise InputError(f"{path}: is no record of data_scripts/own_camera.py; make the data set again")

@@ -1,0 +1,197 @@
+"""Where KITTI, Make3D and the field's lists live in public: nothing else is ever downloaded.
+
+KITTI: A. Geiger, P. Lenz, C. Stiller, R. Urtasun, "Vision meets Robotics: The KITTI Dataset", IJRR 2013 (CC BY-NC-SA 3.0).
+Improved depth: J. Uhrig et al., "Sparsity Invariant CNNs", 3DV 2017.
+Make3D: A. Saxena, M. Sun, A. Y. Ng, "Make3D: Learning 3D Scene Structure from a Single Still Image", IEEE PAMI 2009
+(make3d.cs.cornell.edu/data.html).
+"""
+
+import fnmatch
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from data_scripts.fetch import NotThereError, fetch
+from dualdepth.data.kitti import read_frame_list
+from dualdepth.errors import InputError
+from dualdepth.files import write_text
+from dualdepth.profile import Profile
+
+KITTI_HOME = "https://s3.eu-central-1.amazonaws.com/avg-kitti/"
+MAKE3D_HOME = "https://www.cs.cornell.edu/~asaxena/learningdepth/"
+LISTS_HOME = "https://raw.githubusercontent.com/"
+CAMERAS = ("image_00", "image_01", "image_02", "image_03")
+DATES = ("2011_09_26", "2011_09_28", "2011_09_29", "2011_09_30", "2011_10_03")
+
+MONODEPTH2 = ("nianticlabs/monodepth2/b676244e5a1ca55564eb5d16ab521a48f823af31/splits",)
+# Two revisions of the same files: the second steps in should the server not resolve the first's short name.
+SFMLEARNER = ("tinghuiz/SfMLearner/65f71f10/data/kitti", "tinghuiz/SfMLearner/2a387b763bc2b6f95b095f929bf751797c9db68a/data/kitti")
+
+
+class FieldList(NamedTuple):
+    """A list that the field's papers share: where it is, and the sha256 of its bytes."""
+
+    homes: tuple[str, ...]
+    path: str
+    sha256: str
+
+
+LISTS = {
+    "eigen_test": FieldList(MONODEPTH2, "eigen/test_files.txt", "e226d4ca16e0e6e9695435014347dcf973588531330536fd8a68d298ef091a6b"),
+    "eigen_zhou_train": FieldList(
+        MONODEPTH2, "eigen_zhou/train_files.txt", "00173a231642151c4693274e701ddd4cae7916520a757c7a94eae8e1173f7b0c"
+    ),
+    "eigen_zhou_val": FieldList(MONODEPTH2, "eigen_zhou/val_files.txt", "64a868b8d2c66c3979a2d74c22ea2e9146850d5b9f5786ed8e5f92201ba1ad04"),
+    "eigen_improved": FieldList(
+        MONODEPTH2, "eigen_benchmark/test_files.txt", "d56e5e509e6960a01fb93795f85028ac6e4a82ad40e64b6e968988e4db95b9be"
+    ),
+    "static_frames": FieldList(SFMLEARNER, "static_frames.txt", "268ef2acb91035acca2db9631d23af5a4c1a9a95af31c9099a000fba82c88e11"),
+    "test_scenes": FieldList(SFMLEARNER, "test_scenes_eigen.txt", "df2563d0d3482ab6da413cdc4471b04938970a5317f6bd843b9280a81d437981"),
+}
+
+
+DERIVED = {"sample_test": ("eigen_test", ("2011_09_26_drive_0052_sync", "2011_09_26_drive_0013_sync"))}
+"""Lists that are the lines of another one from some drives: `sample` scores the Eigen frames of the two smallest suitable drives."""
+
+
+def named_list(name: str, cache_dir: str | Path, home: str = LISTS_HOME) -> Path:
+    """Local path of a field's list, downloaded once; a copy that is there already is verified too.
+
+    Args:
+        name: a key of `LISTS` or `DERIVED`.
+        cache_dir: folder that holds, or will hold, `<name>.txt`.
+        home: another server in place of the public one (tests).
+
+    Raises:
+        InputError: no such list, no network, or bytes whose sha256 differs.
+    """
+    path = Path(cache_dir) / f"{name}.txt"
+    if name in DERIVED:
+        origin, drives = DERIVED[name]
+        lines = named_list(origin, cache_dir, home).read_text(encoding="utf-8").splitlines(keepends=True)
+        write_text(path, "".join(line for line in lines if any(drive in line for drive in drives)))
+        return path
+    if name not in LISTS:
+        raise InputError(f"list {name!r} is not known; choose one of {', '.join([*LISTS, *DERIVED])} or give the path of a file")
+    entry = LISTS[name]
+    for number, revision in enumerate(entry.homes, 1):
+        address = f"{home}{revision}/{entry.path}"
+        try:
+            return fetch(address, path, digest=f"sha256:{entry.sha256}", if_offline=f"else put the list at {path} yourself")
+        except NotThereError:
+            if number == len(entry.homes):
+                raise
+    raise AssertionError("every list has a home")
+
+
+class Archive(NamedTuple):
+    """One of KITTI's zip archives."""
+
+    address: str
+    """Relative to `KITTI_HOME`."""
+    marker: str
+    """File below the root that is written last, and says that the archive is unpacked."""
+    folder: str = ""
+    """Folder below the root to unpack in."""
+    strip: str = ""
+    """Leading folder of the members that is dropped."""
+    images: bool = True
+    """Whether it holds cameras that can be chosen from."""
+    digest: str | None = None
+
+    @property
+    def name(self) -> str:
+        """File name."""
+        return self.address.rsplit("/", 1)[-1]
+
+    def place(self, member: str, cameras: Sequence[str]) -> str | None:
+        """Path below `folder` of a member, or None for a camera that is not wanted (odometry's `image_2` is raw's `image_02`)."""
+        camera = re.search(r"(?:^|/)image_0?([0-3])/", member)
+        if camera and f"image_0{camera[1]}" not in cameras:
+            return None
+        return member.removeprefix(self.strip)
+
+
+ODOMETRY = tuple(
+    Archive(f"data_odometry_{part}.zip", f"odometry/.data_odometry_{part}.complete.json", "odometry", "dataset/", part == "color")
+    for part in ("poses", "calib", "color")
+)
+IMPROVED_DEPTH = Archive(
+    "data_depth_annotated.zip",
+    "depth_annotated/.data_depth_annotated.complete.json",
+    "depth_annotated",
+    digest="md5:7d1ce32633dc2f43d9d1656a1f875e47",
+)
+
+
+class PhotoArchive(NamedTuple):
+    """One of the two archives of Make3D's test set (gzipped tar; no checksum of it is published)."""
+
+    name: str
+    """File name, and address relative to `MAKE3D_HOME`."""
+    folder: str
+    """Folder below the root that its files go to, however the archive nests them."""
+    members: str
+    """Pattern of the file names that are kept."""
+
+    @property
+    def marker(self) -> str:
+        """File below the root that is written last, and says that the archive is unpacked and whole."""
+        return f"{self.folder}/.complete.json"
+
+    def place(self, member: str) -> str | None:
+        """Path below the root of a member, or None for what is neither photo nor grid."""
+        name = member.rsplit("/", 1)[-1]
+        return f"{self.folder}/{name}" if fnmatch.fnmatchcase(name, self.members) else None
+
+
+MAKE3D = (
+    PhotoArchive("Test134.tar.gz", "Test134", "img-*.jpg"),
+    PhotoArchive("Test134Depth.tar.gz", "Gridlaserdata", "depth_sph_corr-*.mat"),
+)
+
+
+def drive_archives(drives: Sequence[str]) -> list[Archive]:
+    """Archives of raw drives, each day's calibration first.
+
+    Args:
+        drives: names like `2011_09_26/2011_09_26_drive_0095_sync`; the day in front and `_sync` may be left out.
+
+    Raises:
+        InputError: a name that is none of KITTI's.
+    """
+    names = set()
+    for drive in drives:
+        match = re.fullmatch(r"(?:(\d{4}_\d\d_\d\d)/)?((\d{4}_\d\d_\d\d)_drive_\d{4})(?:_sync)?", drive.strip("/"))
+        if not match or match[3] not in DATES or match[1] not in (None, match[3]):
+            raise InputError(f"drive {drive!r}: expected a name like 2011_09_26/2011_09_26_drive_0095_sync, of {', '.join(DATES)}")
+        names.add(match[2])
+    archives = []
+    for date in DATES:
+        of_day = sorted(name for name in names if name.startswith(date))
+        if of_day:
+            archives.append(Archive(f"raw_data/{date}_calib.zip", f"{date}/.calib.complete.json", images=False))
+        archives += [Archive(f"raw_data/{name}/{name}_sync.zip", f"{date}/{name}_sync/.complete.json") for name in of_day]
+    return archives
+
+
+def profile_drives(profile: Profile, cache_dir: str | Path, home: str = LISTS_HOME) -> list[str]:
+    """The raw drives that a profile trains and is scored on: its own, and those that its lists mention.
+
+    Drives that only the lists of static frames or test scenes name are not needed: those lists just take frames away.
+
+    Raises:
+        InputError: the profile makes its own data, or a list cannot be had.
+    """
+    data = profile.data
+    if data.source != "kitti":
+        raise InputError(f"profile {profile.name} makes its own data: there is nothing to download; choose sample or paper")
+    drives = set(data.train_drives)
+    for name in (data.train_list, data.test_list):
+        if name is None:
+            continue
+        parts = [part for part in (name, f"{name}_train", f"{name}_val") if part in LISTS or part in DERIVED]
+        for path in [named_list(part, cache_dir, home) for part in parts] or [Path(name)]:
+            drives.update(frame.drive for frame in read_frame_list(path))
+    return sorted(drives)

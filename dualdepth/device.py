@@ -1,0 +1,135 @@
+"""Which machine this is: how many processes share a training, on which device and in which precision it computes, what it is called.
+
+torch is loaded by the functions that need it, since commands that only read files start without it.
+"""
+
+import ctypes
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, get_args
+
+from dualdepth.errors import InputError
+
+if TYPE_CHECKING:
+    import torch
+
+Precision = Literal["float32", "bf16"]
+M_TRIM_THRESHOLD, M_TOP_PAD, M_MMAP_MAX = -1, -2, -4
+"""Names and numbers of glibc's `malloc.h`."""
+PAD = 1 << 26
+"""Bytes that the heap grows by at least."""
+
+
+def process_count() -> int:
+    """Processes that share one training under `torchrun` or SLURM, 1 where nothing says otherwise."""
+    return int(os.environ.get("WORLD_SIZE", 1))
+
+
+def is_main_process() -> bool:
+    """Whether this is the one that writes and prints."""
+    return int(os.environ.get("RANK", 0)) == 0
+
+
+def several_on_cpu() -> bool:
+    """Whether several processes work on a CPU: accelerate must be told, else each would work by itself."""
+    import torch
+
+    return process_count() > 1 and not torch.cuda.is_available()
+
+
+def wait_for_everyone() -> None:
+    """Go on when all processes have come here."""
+    if process_count() > 1:
+        from accelerate import PartialState
+
+        PartialState(cpu=several_on_cpu()).wait_for_everyone()
+
+
+def default_device() -> "torch.device":
+    """Where trainings and tables compute: a CUDA GPU where there is one, else the CPU."""
+    import torch
+
+    return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+
+
+def choose_device(name: "str | torch.device | None") -> "torch.device":
+    """The device that a user asks for, or for None a CUDA GPU, Apple's, or the CPU, the first that is there.
+
+    Raises:
+        InputError: it is unknown or not to be had here.
+    """
+    import torch
+
+    there = ["cpu", *(f"cuda:{i}" for i in range(torch.cuda.device_count())), *["mps"] * torch.backends.mps.is_available()]
+    if name is None:
+        return torch.device("cuda" if "cuda:0" in there else there[-1])
+    try:
+        chosen = torch.device(name)
+    except RuntimeError:
+        chosen = None
+    indexed = f"cuda:{chosen.index or 0}" if chosen and chosen.type == "cuda" else str(chosen)
+    if indexed not in there:
+        raise InputError(f"device {str(name)!r} is not to be had; here there are {', '.join(there)}")
+    return chosen
+
+
+def device_name() -> str:
+    """The GPU's name, or the CPU's with the number of threads used; nothing is loaded to find out."""
+    torch = sys.modules.get("torch")
+    if torch and torch.cuda.is_available():
+        return torch.cuda.get_device_name()
+    information = Path("/proc/cpuinfo").read_text(encoding="utf-8") if Path("/proc/cpuinfo").exists() else ""
+    models = [line.partition(":")[2].strip() for line in information.splitlines() if line.startswith("model name")]
+    return f"{models[0] if models else 'CPU'}, {torch.get_num_threads() if torch else os.cpu_count()} threads"
+
+
+def has_bf16(device: "torch.device") -> bool:
+    """Whether a device computes in bfloat16 by itself. A CPU without such instructions imitates them, and takes nine times as long."""
+    import torch
+
+    if device.type == "cuda":
+        return torch.cuda.is_bf16_supported(including_emulation=False)
+    if device.type == "cpu":
+        can = torch.cpu.get_capabilities()
+        return any(can.get(name, False) for name in ("avx512_bf16", "amx_bf16"))
+    return False
+
+
+def choose_precision(setting: Literal["auto"] | Precision, device: "torch.device", lr_size: tuple[int, int]) -> Precision:
+    """What `training.precision` means on a device: `auto` is bf16 where the device has it, else float32.
+
+    Frames of LR-Net of 64×64 and less stay in float32: PoseNet ends in 1×1 maps there, whose bf16 gradients torch 2.13 gets wrong.
+    """
+    if setting != "auto":
+        return setting
+    return "bf16" if has_bf16(device) and max(lr_size) > 64 else "float32"
+
+
+def inference_precision(precision: str | None, device: "torch.device") -> Precision:
+    """The precision that a user asks for, or for None bf16 on a CUDA GPU that computes in it, else float32.
+
+    Raises:
+        InputError: it is unknown.
+    """
+    if precision is None:
+        return "bf16" if device.type == "cuda" and has_bf16(device) else "float32"
+    if precision not in get_args(Precision):
+        raise InputError(f"precision {precision!r} is unknown: choose one of {', '.join(get_args(Precision))}")
+    return precision
+
+
+def keep_freed_memory() -> bool:
+    """Keep freed memory in this process, for tensors on the CPU.
+
+    glibc gives every large tensor back to the system when it is freed, and the next one of that size is paged in and zeroed anew: a third
+    of a training step at high resolution, for some more memory in use. Numbers do not change.
+
+    Returns:
+        Whether the allocator is glibc's and took it.
+    """
+    try:
+        mallopt = ctypes.CDLL("libc.so.6").mallopt
+    except (OSError, AttributeError):
+        return False
+    return all([mallopt(M_MMAP_MAX, 0), mallopt(M_TRIM_THRESHOLD, -1), mallopt(M_TOP_PAD, PAD)])

@@ -1,0 +1,132 @@
+"""Files that are either whole or absent (write under a temporary name, flush, rename), their digests, and locks."""
+
+import contextlib
+import hashlib
+import json
+import os
+import re
+import socket
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from dualdepth.errors import InputError
+
+
+@contextlib.contextmanager
+def atomic_path(path: str | Path) -> Iterator[Path]:
+    """Give a temporary sibling of `path`; it takes the name `path` when the block ends well.
+
+    The suffix is kept, since image and array writers choose their format by it.
+    On any exception the temporary file is removed and `path` stays as it was.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.stem}.{uuid.uuid4().hex[:8]}.part{path.suffix}")
+    try:
+        yield partial
+        with open(partial, "rb+") as file:
+            os.fsync(file.fileno())
+        os.replace(partial, path)
+        _flush_folder(path.parent)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _flush_folder(folder: Path) -> None:
+    """Make a rename in the folder outlive a power cut."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+_PARTIAL = re.compile(r"\..+\.[0-9a-f]{8}\.part(\.\w+)?")
+
+
+def remove_leftovers(folder: str | Path, below: bool = True) -> int:
+    """Remove the temporary files that killed writers left in a folder, and `below` it; for who holds its lock. Returns how many."""
+    found = [path for path in Path(folder).glob("**/.*.part*" if below else ".*.part*") if _PARTIAL.fullmatch(path.name)]
+    for path in found:
+        path.unlink(missing_ok=True)
+    return len(found)
+
+
+def check_writable(folder: str | Path) -> None:
+    """Make sure that files can be written into `folder`, which is made if it is not there.
+
+    Raises:
+        InputError: they cannot, and why.
+    """
+    probe = Path(folder) / "writable"
+    try:
+        with atomic_path(probe) as partial:
+            partial.touch()
+        probe.unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: nothing can be written there ({error.strerror or error}); free space or change its owner") from None
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write UTF-8 `text` to `path` atomically."""
+    with atomic_path(path) as partial:
+        partial.write_text(text, encoding="utf-8")
+
+
+def write_json(path: str | Path, value: Any) -> None:
+    """Write `value` as indented JSON to `path` atomically; NaN and infinity are refused."""
+    write_text(path, json.dumps(value, indent=1, allow_nan=False, ensure_ascii=False) + "\n")
+
+
+def short_digest(*parts: str) -> str:
+    """The first 16 hex digits of the parts' sha256."""
+    return hashlib.sha256(" ".join(parts).encode()).hexdigest()[:16]
+
+
+def file_digest(path: Path) -> str | None:
+    """sha256 of a file, or None where there is none."""
+    if not path.is_file():
+        return None
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def folder_digest(folder: str | Path, *patterns: str) -> str:
+    """Digest of names, sizes and times of files below a folder, to notice cheaply that they were replaced; of nothing for no folder."""
+    files = sorted(path for pattern in patterns for path in Path(folder).glob(pattern)) if folder else []
+    return short_digest(*(f"{path.name} {path.stat().st_size} {path.stat().st_mtime_ns}" for path in files))
+
+
+@contextlib.contextmanager
+def locked(path: str | Path, patience: float = 0.0, *, inherited: bool = False) -> Iterator[None]:
+    """Hold the lock file `path`. The system releases it when the process ends, however it ends.
+
+    Args:
+        path: of the lock file, which says who holds it; its folder is made.
+        patience: seconds to wait for a holder that may be ending.
+        inherited: the program that this process becomes (`os.exec…`) holds the lock, too.
+
+    Raises:
+        InputError: a live process holds it; the message says which.
+    """
+    from filelock import FileLock, Timeout
+
+    def sign(descriptor: int) -> None:
+        os.ftruncate(descriptor, 0)
+        os.pwrite(descriptor, f"process {os.getpid()} on {socket.gethostname()}".encode(), 0)
+        os.set_inheritable(descriptor, inherited)
+
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(path, timeout=patience, on_acquired=sign)
+    try:
+        lock.acquire()
+    except Timeout:
+        holder = path.read_text(encoding="utf-8").strip() or "another run"
+        raise InputError(f"{path}: held by {holder}; wait for it or stop it") from None
+    try:
+        yield
+    finally:
+        lock.release()

@@ -1,0 +1,198 @@
+"""Depth networks as ONNX files: one image in, its disparity out, compared with PyTorch before a file is kept."""
+
+import contextlib
+import importlib.util
+import json
+import logging
+import warnings
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from dualdepth.data.frames import resample
+from dualdepth.data.kitti import read_image
+from dualdepth.errors import InputError
+from dualdepth.files import atomic_path, check_writable
+from dualdepth.inference.predict import DepthNet, load_depth_net
+from dualdepth.model import UNIT
+from dualdepth.training.weights import load_card
+
+OPSET = 20
+"""The operators' version: what torch's exporter writes of itself, without converting."""
+TOLERANCE = 1e-3
+"""Largest |ONNX − PyTorch| / PyTorch of a disparity, both in float32. ONNX Runtime's sigmoid is right to 1.7e-7, which is 1.4e-4 of the
+smallest disparities; the rest is for sums in another order. A thousandth is below what any table shows."""
+
+
+class ImageToDisparity(nn.Module):
+    """What is exported of a depth network: the frame itself in, so that nobody has to average it for LR-Net, the finest disparity out.
+
+    What does not shape that disparity, such as the decoder of a dual network's LR-Net, is not part of the graph.
+    """
+
+    def __init__(self, depth_net: DepthNet) -> None:
+        super().__init__()
+        self.net, self.low = depth_net.net, depth_net.architecture.sees_low_resolution
+
+    def forward(self, image: Tensor) -> Tensor:
+        """Disparity (B, 1, h, w) of an image (B, 3, H, W) in [0, 1]; h, w are H, W, or a third of them for LR-Net."""
+        return self.net(F.avg_pool2d(image, 3) if self.low else image, scales=1).disparities[0]
+
+
+class Export(NamedTuple):
+    """What was written, and how near to PyTorch it is."""
+
+    path: Path
+    size: tuple[int, int]
+    """(height, width) of the images."""
+    output_size: tuple[int, int]
+    images: int
+    """That were compared."""
+    difference: float | None
+    """Largest |ONNX − PyTorch| / PyTorch over their pixels; None where ONNX Runtime is not installed."""
+
+
+def export_onnx(weights: str | Path, out: str | Path, frames: Sequence[str | Path] = ()) -> Export:
+    """Write the depth network of a training as an ONNX file.
+
+    Args:
+        weights: safetensors file; its card lies beside it.
+        out: the file, `….onnx`.
+        frames: image files to compare on; without any, three made-up images are.
+
+    Raises:
+        InputError: a package is missing; the weights, their card or a frame cannot be read; nothing can be written at `out`; the
+            network cannot be exported; or ONNX Runtime's disparities differ from PyTorch's by more than `TOLERANCE`. No file is left.
+    """
+    require_packages("onnx", "onnxscript")
+    out = Path(out)
+    if out.suffix != ".onnx" or out.is_dir():
+        raise InputError(f"{out}: is no name for an ONNX file; give --out one that ends in .onnx")
+    depth_net = load_depth_net(weights)
+    net = ImageToDisparity(depth_net).eval()
+    images = [_read(path, depth_net.hr_size) for path in frames] or made_up_images(depth_net.hr_size)
+    try:
+        expected = [disparity(net, image[None]) for image in images]
+    except RuntimeError as error:
+        raise InputError(f"{weights}: its network cannot see images of its card's {depth_net.hr_size} ({error}); copy both again") from None
+    check_writable(out.parent)
+    difference = None
+    with atomic_path(out) as partial:
+        try:
+            write_onnx(net, depth_net.hr_size, partial, metadata(load_card(weights), depth_net))
+        except torch.onnx.errors.OnnxExporterError as error:
+            reason = str(error.__cause__ or error).partition("\n")[0]
+            raise InputError(f"{weights}: torch cannot export encoder {depth_net.architecture.encoder!r} ({reason})") from None
+        if importlib.util.find_spec("onnxruntime"):
+            difference = largest_difference(load_onnx(partial), images, expected)
+            if not difference <= TOLERANCE:
+                raise InputError(
+                    f"{out}: not written, since ONNX Runtime's disparities are off PyTorch's by {difference:.2g} of their value, "
+                    f"more than {TOLERANCE:g}; try the versions of environment.lock"
+                )
+    return Export(out, depth_net.hr_size, expected[0].shape[-2:], len(images), difference)
+
+
+def write_onnx(net: nn.Module, size: tuple[int, int], path: str | Path, words: dict[str, str]) -> None:
+    """Write a network from `image` (B, 3, *size) to `disparity` with a free batch, and check the file.
+
+    Args:
+        net: in eval mode.
+        size: (height, width).
+        path: of the file.
+        words: its metadata.
+
+    Raises:
+        torch.onnx.errors.OnnxExporterError: torch has no ONNX form of one of its layers.
+    """
+    import onnx
+
+    example = torch.zeros(2, 3, *size)  # a batch of one would be taken for a constant
+    batch = {0: torch.export.Dim("batch")}
+    with _quiet():
+        program = torch.onnx.export(
+            net,
+            (example,),
+            dynamo=True,
+            opset_version=OPSET,
+            input_names=[IMAGE],
+            output_names=[DISPARITY],
+            dynamic_shapes=(batch,),
+            verbose=False,
+        )
+    _drop_traces(program.model)
+    program.model.metadata_props.update(words)
+    program.save(path, external_data=False)
+    onnx.checker.check_model(path, full_check=True)
+
+
+def metadata(card: dict[str, Any], depth_net: DepthNet) -> dict[str, str]:
+    """What the file says of itself."""
+    height, width = depth_net.hr_size
+    return {
+        "about": str(card.get("about", f"depth network {depth_net.architecture.network}")),
+        IMAGE: f"RGB, float32 in [0, 1], (batch, 3, {height}, {width}); frames are resized whole to this size",
+        DISPARITY: f"1 / depth, float32, positive; `dualdepth predict` gives {UNIT:g} / disparity",
+        "scale": "relative: learned from video alone, depths are right up to an unknown factor and no metres",
+        "hr_size": json.dumps([height, width]),
+        "card": json.dumps(card, ensure_ascii=False),
+    }
+
+
+@torch.inference_mode()
+def disparity(net: nn.Module, images: np.ndarray) -> np.ndarray:
+    """PyTorch's disparities (B, 1, h, w) of images (B, 3, H, W)."""
+    return net(torch.from_numpy(images)).numpy()
+
+
+def largest_difference(loaded: OnnxDepthNet, images: Sequence[np.ndarray], expected: Sequence[np.ndarray]) -> float:
+    """Largest |ONNX − PyTorch| / PyTorch over all pixels; each image (3, H, W) alone, and the first three together."""
+    found = [loaded(image[None]) for image in images]
+    together = loaded(np.stack(images[:3]))
+    pairs = [*zip(found, expected), (together, np.concatenate(expected[:3]))]
+    return float(np.max([np.abs(f / e - 1).max() for f, e in pairs]))
+
+
+def made_up_images(size: tuple[int, int], count: int = 3) -> list[np.ndarray]:
+    """Images (3, H, W) float32 in [0, 1], of large and small blots: something to see at every stride."""
+    rng, (height, width) = np.random.default_rng(0), size
+    images = []
+    for _ in range(count):
+        layers = [resample(rng.integers(0, 255, (height // s + 1, width // s + 1, 3), np.uint8), size) for s in (64, 16, 4)]
+        images.append(np.ascontiguousarray(np.mean(layers, axis=0, dtype=np.float32).transpose(2, 0, 1)) / np.float32(255))
+    return images
+
+
+def _read(path: str | Path, size: tuple[int, int]) -> np.ndarray:
+    return np.ascontiguousarray(resample(read_image(path), size).transpose(2, 0, 1)) / np.float32(255)
+
+
+def _drop_traces(model: Any) -> None:
+    """Take out what torch notes at each node: the source files of this machine."""
+    model.metadata_props.clear()
+    model.graph.metadata_props.clear()
+    for node in model.graph.all_nodes():
+        node.metadata_props.clear()
+        for value in node.outputs:
+            value.metadata_props.clear()
+    for value in (*model.graph.inputs, *model.graph.initializers.values()):
+        value.metadata_props.clear()
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Without the exporter's words on torchvision, which is not used, and on torch's own old names."""
+    logger = logging.getLogger("torch.onnx._internal.exporter._registration")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logger.setLevel(level)

@@ -1,0 +1,113 @@
+"""The depth networks: LR-Net, HR-Net, and both of them as the dual network (paper, section "Dual Network Architecture")."""
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from dualdepth.networks.architecture import Link, Normalise, Similarity
+from dualdepth.networks.attention import WIDTH, SelfAssembledAttention
+from dualdepth.networks.decoder import Decoder, DepthOutput
+from dualdepth.networks.encoders import make_encoder
+
+HR_WIDTHS = (32, 64, 128, 128, 128)
+"""HR-Net's channels at strides 2, 4, 8, 16, 32: a declared reconstruction, fitted like the decoder's to the paper's overhead table."""
+
+
+class LRNet(nn.Module):
+    """Encoder and decoder with skip connections: image → disparities at four scales; also the single networks of the overhead table.
+
+    Args:
+        encoder: see `make_encoder`.
+        pretrained: ImageNet weights for the encoder.
+    """
+
+    def __init__(self, encoder: str = "resnet50", pretrained: bool | str = False) -> None:
+        super().__init__()
+        self.encoder = make_encoder(encoder, pretrained)
+        self.decoder = Decoder(self.encoder.channels)
+
+    def forward(self, image: Tensor, scales: int = 4) -> DepthOutput:
+        """Disparities of an image (B, 3, H, W) in [0, 1]; H and W are multiples of 32."""
+        return self.decoder(self.encoder(image), scales)
+
+
+class HREncoder(nn.Module):
+    """Five stages, each a 3×3 convolution of stride 2 and one of stride 1, with batch norm and ELU; reflection padding."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stages = nn.ModuleList(
+            nn.Sequential(*_block(inputs, outputs, 2), *_block(outputs, outputs, 1)) for inputs, outputs in zip((3, *HR_WIDTHS), HR_WIDTHS)
+        )
+
+    def forward(self, image: Tensor) -> list[Tensor]:
+        """Maps at strides 2 … 32 of an image (B, 3, H, W) in [0, 1]; H and W multiples of 32."""
+        maps, x = [], 2.0 * image - 1.0
+        for stage in self.stages:
+            x = stage(x)
+            maps.append(x)
+        return maps
+
+
+class HRNet(nn.Module):
+    """The slim network that sees the full resolution, with room for global features at stride 32.
+
+    Args:
+        global_channels: of the features handed over by LR-Net; 0 for HR-Net by itself, which the paper says cannot work alone.
+    """
+
+    def __init__(self, global_channels: int = 0) -> None:
+        super().__init__()
+        self.encoder = HREncoder()
+        self.decoder = Decoder((*HR_WIDTHS[:-1], HR_WIDTHS[-1] + global_channels))
+
+    def forward(self, image: Tensor, scales: int = 4, global_features: Tensor | None = None) -> DepthOutput:
+        """Disparities of an image (B, 3, H, W) in [0, 1], with global features (B, C, H/32, W/32) if it was built for them."""
+        *finer, deepest = self.encoder(image)
+        if global_features is not None:
+            deepest = torch.cat([deepest, global_features.to(deepest.dtype)], dim=1)
+        return self.decoder([*finer, deepest], scales)
+
+
+class DualNet(nn.Module):
+    """HR-Net led by a frozen LR-Net's deepest features, enlarged ×3 to HR-Net's stride 32 (paper, figure "Overview of our method", b).
+
+    LR-Net sees the image averaged 3×3. It stays in eval mode and gets no gradient, so training leaves it as it was; its decoder
+    is not run unless it is asked for, since the depth at high resolution does not need it.
+
+    Args:
+        lr_net: of stage 1; its parameters are frozen here.
+        link: what HR-Net receives, see `Design`.
+        similarity: of SA-Attention.
+        normalise: of SA-Attention.
+    """
+
+    def __init__(self, lr_net: LRNet, link: Link = "attention", similarity: Similarity = "dot", normalise: Normalise = "none") -> None:
+        super().__init__()
+        self.lr_net = lr_net.requires_grad_(False)
+        deepest = lr_net.encoder.channels[-1]
+        self.attention = None if link == "direct" else SelfAssembledAttention(deepest, similarity, normalise, mixing=link == "attention")
+        self.hr_net = HRNet(deepest if self.attention is None else WIDTH)
+        self.train(self.training)
+
+    def train(self, mode: bool = True) -> "DualNet":
+        """Training mode for all but LR-Net, whose batch norm keeps the statistics of stage 1."""
+        super().train(mode)
+        self.lr_net.eval()
+        return self
+
+    def forward(self, image: Tensor, scales: int = 4, with_lr_depth: bool = False) -> DepthOutput | tuple[DepthOutput, DepthOutput]:
+        """Disparities of an image (B, 3, H, W) in [0, 1], H and W multiples of 96; LR-Net's own behind them if they are asked for."""
+        low = F.avg_pool2d(image, 3)
+        with torch.no_grad():
+            maps = self.lr_net.encoder(low)
+        features = maps[-1]  # (B, C, H/96, W/96)
+        handed = features if self.attention is None else self.attention(features, low)
+        enlarged = F.interpolate(handed, scale_factor=3, mode="bilinear", align_corners=False)
+        output = self.hr_net(image, scales, enlarged)
+        return (output, self.lr_net.decoder(maps)) if with_lr_depth else output
+
+
+def _block(inputs: int, outputs: int, stride: int) -> list[nn.Module]:
+    conv = nn.Conv2d(inputs, outputs, 3, stride=stride, padding=1, padding_mode="reflect", bias=False)
+    return [conv, nn.BatchNorm2d(outputs), nn.ELU()]

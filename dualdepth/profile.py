@@ -1,0 +1,195 @@
+"""The profile: every setting of a run, read from YAML and validated at once.
+
+An unknown key is an error that names the nearest known one. The sections stand in `dualdepth/settings.py`.
+"""
+
+import difflib
+import functools
+import hashlib
+import json
+import re
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import BaseModel, Field, ValidationError, model_validator
+
+from dualdepth.errors import InputError
+from dualdepth.networks.architecture import Architecture, Design
+from dualdepth.settings import Data, Evaluation, Settings, Training, Variant, World
+
+PROFILES = Path(__file__).parent / "profiles"
+
+
+class Profile(Settings):
+    """Everything a run needs to know."""
+
+    name: str
+    about: str
+    """One sentence for tables and reports: what the numbers of this profile are numbers of."""
+    verdicts: Literal["none", "directions", "numbers"] = "none"
+    """What the report judges: nothing, the direction of the paper's claims, or its numbers as well."""
+    seeds: list[Annotated[int, Field(ge=0)]] = Field([0], min_length=1)
+    world: World | None = None
+    data: Data
+    training: Training = Training()
+    evaluation: Evaluation = Evaluation()
+    train: dict[str, dict[str, Any] | None] = Field({"lr": None, "dual": None, "dual_no_sa": None}, min_length=1)
+    """The variants to train, each with settings of its own by dotted name, such as `{training.hr.max_steps: 6}`."""
+    variants: dict[Annotated[str, Field(pattern=r"^[\w-]+$")], Variant] = Field({})
+    """Variants of the profile's own, beside those of `dualdepth/variants.yaml`; folders are named by them."""
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> "Profile":
+        if self.training.precision == "bf16" and max(self.data.lr_size) <= 64:
+            raise ValueError(
+                "hr_size 192x192 needs precision float32: PoseNet ends in 1x1 maps there, whose bf16 gradients torch 2.13 gets wrong"
+            )
+        if (self.data.source == "miniature") != (self.world is not None):
+            raise ValueError("data.source: miniature needs a section `world`, and only it")
+        for name in self.train:
+            if self.train[name]:
+                self.of_variant(name)
+            start = self.variant(name).starts_from
+            if start is not None and start not in self.train:
+                raise ValueError(f"train: {name} starts from {start}, which is not trained; name it too")
+            if start is not None and self.variant(start).network != "lr":
+                raise ValueError(f"train: {name} starts from {start}, which is no variant of stage 1")
+            if start is not None and self.variant(start).trains_on != self.variant(name).trains_on:
+                raise ValueError(f"train: {name} starts from {start}, which is trained on {self.variant(start).trains_on} frames: a leak")
+        if "lr" not in self.train:
+            raise ValueError("train: does not name lr, which the tables compare with; name it too")
+        return self
+
+    def variant(self, name: str) -> Variant:
+        """A variant by name, one of the profile's own or a standard one.
+
+        Raises:
+            InputError: there is none; the message names the nearest.
+        """
+        known = standard_variants() | self.variants
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1, cutoff=0.0)[0]
+            raise InputError(f"variant {name!r} is unknown; did you mean {near}? There are {', '.join(known)}")
+        return known[name]
+
+    def architecture(self, name: str) -> Architecture:
+        """The depth network that a variant trains."""
+        variant = self.variant(name)
+        words = {field: getattr(variant, field) for field in Design.model_fields}
+        return Architecture(encoder=self.of_variant(name).training.encoder, **words)
+
+    def trained_on(self, what: str) -> list[str]:
+        """The variants to train on frames of the depth tables (`depth`) or of the odometry table (`odometry`)."""
+        return [name for name in self.train if self.variant(name).trains_on == what]
+
+    def odometry_sequences(self) -> tuple[list[str], list[str]]:
+        """Odometry sequences to train on and to score."""
+        if self.world is None:
+            return self.data.odometry_train, self.data.odometry_test
+        return [f"{n:02d}" for n in range(self.world.odometry_train)], [f"{9 + n:02d}" for n in range(self.world.odometry_test)]
+
+    def of_variant(self, name: str) -> "Profile":
+        """The profile as a variant trains with it: its own settings and those of `train` put in.
+
+        Raises:
+            InputError: an unknown variant or setting, or values that do not fit.
+        """
+        changes = self.variant(name).set | (self.train.get(name) or {})
+        values = self.model_dump()
+        for dotted, value in changes.items():
+            *sections, last = dotted.split(".")
+            place = values
+            for section in sections:
+                place = place.get(section) if isinstance(place, dict) else None
+            if not isinstance(place, dict):
+                raise InputError(f"variant {name}: unknown setting {dotted}")
+            place[last] = value
+        try:
+            profile = type(self).model_validate(values | {"train": {"lr": None}})
+        except ValidationError as error:
+            raise InputError(f"variant {name}: {'; '.join(_explain(e) for e in error.errors())}") from None
+        if self.variant(name).stage == "hr" and not profile.training.augmentation.augment_first:
+            raise InputError(f"variant {name}: training.augmentation.augment_first must be true at high resolution")
+        return profile
+
+    def trained_variants(self) -> dict[str, dict[str, Any]]:
+        """The variants it trains as plain values, their labels included, and what it sets for each of them."""
+        return {name: self.variant(name).model_dump(mode="json") | {"here": self.train[name]} for name in self.train}
+
+    def values(self, *sections: str) -> dict[str, Any]:
+        """The named sections (dots go deeper) as plain values, for what to run again."""
+        values: dict[str, Any] = {}
+        for section in sections:
+            value: Any = self
+            for part in section.split("."):
+                value = getattr(value, part)
+            values[section] = value.model_dump(mode="json") if isinstance(value, BaseModel) else value
+        return values
+
+    def digest(self, *sections: str) -> str:
+        """Short content hash of them, for stamps."""
+        return hashlib.sha256(json.dumps(self.values(*sections), sort_keys=True).encode()).hexdigest()[:16]
+
+
+@functools.cache
+def standard_variants() -> dict[str, Variant]:
+    """The variants of `dualdepth/variants.yaml`, in its order."""
+    values = yaml.safe_load((PROFILES.parent / "variants.yaml").read_text(encoding="utf-8"))
+    return {name: Variant.model_validate(value) for name, value in values.items()}
+
+
+def profile_file(name: str) -> Path:
+    """Path of a profile: one of the package's by name, or a YAML file of the user's own.
+
+    Raises:
+        InputError: there is no such profile.
+    """
+    path = Path(name) if name.endswith((".yaml", ".yml")) else PROFILES / f"{name}.yaml"
+    if not path.is_file():
+        known = sorted(p.stem for p in PROFILES.glob("*.yaml"))
+        if name.endswith((".yaml", ".yml")):
+            raise InputError(f"profile {name}: there is no such file")
+        raise InputError(f"profile {name!r} not found: choose one of {', '.join(known)} or give the path of a .yaml file")
+    return path
+
+
+def load_profile(name: str) -> Profile:
+    """Read and validate a profile.
+
+    Args:
+        name: `tiny`, `miniature`, `sample`, `paper`, `own`, or the path of a YAML file; the run is named by the file's stem.
+
+    Raises:
+        InputError: no such profile, no valid YAML, or a bad key or value; the message names the file and the nearest known key.
+    """
+    path = profile_file(name)
+    if not re.fullmatch(r"[\w.-]+", path.stem):
+        raise InputError(f"profile {name}: folders and commands are named by it; give the file a name of letters, digits, . _ and -")
+    try:
+        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: not UTF-8, or an impossible date
+        raise InputError(f"{path}: not a YAML file: {error}") from None
+    if not isinstance(values, dict):
+        raise InputError(f"{path}: expected a mapping of settings, found {type(values).__name__}")
+    try:
+        return Profile.model_validate({str(key): value for key, value in values.items()} | {"name": path.stem})
+    except ValidationError as error:
+        raise InputError(f"{path}: {'; '.join(_explain(e) for e in error.errors())}") from None
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _explain(error: Any) -> str:
+    """One validation error as a phrase: where, what, and for an unknown key the nearest known one."""
+    where = ".".join(str(part) for part in error["loc"]) or "profile"
+    if error["type"] != "extra_forbidden":
+        return f"{where}: {error['msg']}"
+    section: type[BaseModel] = Profile
+    for part in error["loc"][:-1]:
+        if part in section.model_fields:  # else the name of an entry, such as a variant's
+            annotation = section.model_fields[str(part)].annotation
+            candidates = [annotation, *getattr(annotation, "__args__", ())]
+            section = next(c for c in candidates if isinstance(c, type) and issubclass(c, BaseModel))
+    near = difflib.get_close_matches(str(error["loc"][-1]), section.model_fields, n=1, cutoff=0.0)
+    return f"unknown setting {where}; did you mean {near[0]}?"

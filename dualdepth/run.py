@@ -1,0 +1,250 @@
+"""Where a run's files lie, what it was given, and the stamps that say what made its results."""
+
+import argparse
+import datetime
+import functools
+import hashlib
+import json
+import platform
+import subprocess
+import time
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pandas as pd
+from pydantic import TypeAdapter, ValidationError
+
+from dualdepth import __version__
+from dualdepth.errors import InputError, first_mistake
+from dualdepth.files import file_digest, short_digest, write_json, write_text
+from dualdepth.profile import Profile, load_profile
+from dualdepth.staleness import code_digest
+
+RECORD = "own.json"
+"""What data_scripts/own_camera.py writes beside a data set of an own camera: what it was made from."""
+ROOTS = {
+    "kitti_root": "folder that holds 2011_09_26 and the other days; else what the profile needs is downloaded",
+    "test_list": "frames to score instead of the profile's, in the field's format",
+    "odometry_root": "folder that holds KITTI odometry's sequences and poses",
+    "make3d_root": "folder that holds Make3D's Test134 and Gridlaserdata",
+    "labels_root": "folder of label maps, as data_scripts/export_labels.py writes them",
+}
+"""Where a user's own data are: handed to notebook 01."""
+
+
+def add_roots(parser: argparse.ArgumentParser) -> None:
+    """Add the options that say where the data are."""
+    for name, meaning in ROOTS.items():
+        kind = "FILE" if name == "test_list" else "DIR"
+        parser.add_argument(f"--{name.replace('_', '-')}", default="", metavar=kind, help=meaning)
+    parser.add_argument("--allow-leak", action="store_true", help="score even drives that were trained on, and mark the results")
+
+
+def check_roots(given: Mapping[str, str]) -> None:
+    """Make sure that the folders and files that a user gives, by the names of `ROOTS`, are what they should be.
+
+    Raises:
+        InputError: one is not.
+    """
+    from dualdepth.data.kitti import check_root, read_frame_list
+    from dualdepth.data.label_maps import check_labels_root
+    from dualdepth.data.make3d import find_pairs
+    from dualdepth.data.odometry import check_odometry_root
+
+    checks = (check_root, read_frame_list, check_odometry_root, find_pairs, check_labels_root)
+    for name, check in zip(ROOTS, checks):
+        if given.get(name):
+            check(given[name])
+
+
+def parse_seeds(text: str) -> list[int]:
+    """Seeds of `0,1,2`; none of an empty text.
+
+    Raises:
+        InputError: something else than whole numbers from 0 up between commas.
+    """
+    try:
+        seeds = [int(part) for part in text.split(",")] if text else []
+    except ValueError:
+        seeds = [-1]
+    if any(seed < 0 for seed in seeds):
+        raise InputError(f"seeds {text!r}: give whole numbers from 0 up between commas, such as 0,1,2")
+    return seeds
+
+
+def project_root() -> Path:
+    """The checkout: the nearest folder, from here upwards, that holds both `notebooks/` and `Snakefile`.
+
+    Raises:
+        InputError: there is none.
+    """
+    here = Path.cwd()
+    for folder in (here, *here.parents):
+        if (folder / "notebooks").is_dir() and (folder / "Snakefile").is_file():
+            return folder
+    raise InputError(f"{here} is not inside a dualdepth checkout: go to the folder that holds the Makefile")
+
+
+_SHAPING = (
+    "training.encoder",
+    "training.pretrained",
+    "training.augmentation",
+    "training.loss",
+    "training.precision",
+    "training.channels_last",
+)
+"""Training settings that change the weights, beside the stage's own. Settings that only fit the machine are left out."""
+
+
+class Run:
+    """Files of a profile: `work/<profile>/` for data and weights, `results/<profile>/` for what is shown."""
+
+    def __init__(self, profile: str, root: Path | None = None) -> None:
+        self.profile: Profile = load_profile(profile)
+        self.root = root or project_root()
+        self.work = self.root / "work" / self.profile.name
+        self.results = self.root / "results" / self.profile.name
+        self.began = time.perf_counter()
+
+    @property
+    def sources(self) -> Path:
+        """What notebook 01 found: roots and lists."""
+        return self.work / "sources.json"
+
+    @property
+    def prepared(self) -> Path:
+        """Folder of the prepared index and ground truth (notebook 02)."""
+        return self.work / "prepared"
+
+    def training(self, variant: str, seed: int) -> Path:
+        """Folder of one training."""
+        return self.work / "runs" / variant / f"seed{seed}"
+
+    def weights(self, variant: str, seed: int) -> Path:
+        """Released weights of one training."""
+        return self.training(variant, seed) / "model.safetensors"
+
+    def settings(self, variant: str) -> dict[str, Any]:
+        """The settings that shape a variant's weights; how it is logged and loaded is not among them."""
+        chosen, profile = self.profile.variant(variant), self.profile.of_variant(variant)
+        network = chosen.model_dump(mode="json", exclude={"label", "about", "set", "trains_on"})
+        return {"variant": network, **profile.values("data.hr_size", f"training.{chosen.stage}", *_SHAPING)}
+
+    def settings_digest(self, variant: str) -> str:
+        """Digest of them."""
+        return short_digest(json.dumps(self.settings(variant), sort_keys=True))
+
+    def index(self, variant: str) -> Path:
+        """The prepared triplets that a variant trains on (notebook 02)."""
+        return self.prepared / {"depth": "triplets.csv", "odometry": "odometry.csv"}[self.profile.variant(variant).trains_on]
+
+    def recipe(self, variant: str, seed: int) -> str:
+        """Digest of all that shapes a training's weights, its own seed aside: settings, code, prepared triplets, stage 1's weights."""
+        files = (self.index(variant), self.prepared / "identity.json")
+        data = [file_digest(self.require(path, "02_prepare_data")) for path in files]
+        start = self.profile.variant(variant).starts_from
+        data += [file_digest(self.weights(start, seed))] if start else []
+        return short_digest(self.settings_digest(variant), code_digest("training"), str(data))
+
+    def scored_with(self, variants: Iterable[str], seeds: Iterable[int]) -> list[Path]:
+        """What a table of these trainings is made from, for its stamp: weights, scored frames, ground truth."""
+        weights = [self.weights(v, seed) for v in variants if v in self.profile.train for seed in seeds]
+        return [*weights, self.prepared / "test_frames.json", self.prepared / "ground_truth.npz"]
+
+    def require(self, path: Path, notebook: str) -> Path:
+        """`path`, checked to be there.
+
+        Raises:
+            InputError: it is missing; the message names the notebook that makes it.
+        """
+        if not path.exists():
+            raise InputError(f"{path.relative_to(self.root)} is missing: run notebook {notebook} with profile {self.profile.name} first")
+        return path
+
+    def save_table(self, table: pd.DataFrame, name: str, inputs: Iterable[Path], **facts: Any) -> Path:
+        """Write `results/<profile>/tables/<name>.csv` and its stamp."""
+        path = self.results / "tables" / f"{name}.csv"
+        write_text(path, table.to_csv(index=False, float_format="%.6g"))
+        write_json(path.with_suffix(".json"), self.stamp(inputs) | facts)
+        return path
+
+    def save_figure(self, figure: Any, name: str, inputs: Iterable[Path], **facts: Any) -> Path:
+        """Write `results/<profile>/figures/<name>.png` and its stamp."""
+        from dualdepth import plots
+
+        path = plots.save(figure, self.results / "figures" / f"{name}.png")
+        write_json(path.with_suffix(".json"), self.stamp(inputs) | facts)
+        return path
+
+    def stamp(self, inputs: Iterable[Path]) -> dict[str, Any]:
+        """Provenance: revision, hashes of lock, profile and inputs, versions, machine, time; seconds are since this run was opened."""
+        from dualdepth.device import device_name
+
+        return {
+            "seconds": round(time.perf_counter() - self.began, 1),
+            "device": device_name(),
+            "made": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+            "version": __version__,
+            "revision": self._revision[0],
+            "dirty": self._revision[1],
+            "profile": self.profile.name,
+            "profile_sha256": hashlib.sha256(self.profile.model_dump_json().encode()).hexdigest(),
+            "lock_sha256": file_digest(self.root / "environment.lock"),
+            "inputs_sha256": {str(p.relative_to(self.root) if p.is_relative_to(self.root) else p): file_digest(p) for p in inputs},
+            **({"allow_leak": True} if self.allow_leak else {}),
+            "python": platform.python_version(),
+            "machine": f"{platform.system()} {platform.machine()}",
+        }
+
+    @property
+    def allow_leak(self) -> bool:
+        """Whether this run may score what was trained on; its results then say so."""
+        return self.sources.exists() and Sources.load(self).allow_leak
+
+    @functools.cached_property
+    def _revision(self) -> tuple[str, bool]:
+        def git(*words: str) -> str:
+            return subprocess.run(["git", "-C", str(self.root), *words], capture_output=True, text=True, check=False).stdout.strip()
+
+        return git("rev-parse", "HEAD") or "unknown", bool(git("status", "--porcelain"))
+
+
+class Sources(NamedTuple):
+    """Roots and lists of a run; lists that a profile does not use are None."""
+
+    kitti_root: Path
+    test_list: Path
+    train_list: Path | None = None
+    train_drives: tuple[str, ...] = ()
+    """Training drives where the profile names none: those of the synthetic world."""
+    static_frames: Path | None = None
+    test_scenes: Path | None = None
+    odometry_root: Path | None = None
+    """Holds `sequences` and `poses`; None: no odometry here."""
+    make3d_root: Path | None = None
+    """Holds `Test134` and `Gridlaserdata`; None: no Make3D here."""
+    labels_root: Path | None = None
+    """Holds `<drive>/<frame>.png`, Cityscapes training ids of the scored frames; None: no labels here."""
+    allow_leak: bool = False
+    """Score even what was trained on, and say so."""
+
+    def save(self, run: "Run") -> None:
+        """Write `work/<profile>/sources.json`."""
+        write_json(run.sources, {k: str(v) if isinstance(v, Path) else v for k, v in self._asdict().items()})
+
+    @classmethod
+    def load(cls, run: Run) -> "Sources":
+        """Read what notebook 01 wrote.
+
+        Raises:
+            InputError: it is not there, or is something else.
+        """
+        path = run.require(run.sources, "01_download_data")
+        try:
+            return _SAVED_SOURCES.validate_json(path.read_bytes())
+        except ValidationError as error:
+            raise InputError(f"{path}: {first_mistake(error)}; run notebook 01_download_data again") from None
+
+
+_SAVED_SOURCES = TypeAdapter(Sources)

@@ -1,0 +1,237 @@
+"""The sections of a profile: every setting with its reason. What a profile's YAML does not say stands here, and nowhere else."""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from dualdepth.networks.architecture import Design
+
+Size = Annotated[tuple[int, int], Field(description="(height, width) in pixels")]
+
+
+class Settings(BaseModel):
+    """Base of all sections: unknown keys are refused, values are fixed once read."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class World(Settings):
+    """The embedded synthetic street world (`data_scripts/make_miniature.py`)."""
+
+    train_seed: int = Field(1, ge=0)
+    """Seed of the training streets."""
+    test_seed: int = Field(1001, ge=0)
+    """Seed of the streets that are scored; never used to choose anything in `miniature`."""
+    size: Size = (208, 656)
+    """Size of the raw and odometry frames; KITTI's shape at about half its width."""
+    supersample: int = Field(3, ge=1)
+    """Rays per pixel side: the anti-aliasing that lets a full-resolution image hold more than its small copy."""
+    train_drives: int = Field(3, ge=1)
+    """Training drives, each in a street of its own."""
+    frames_per_drive: int = Field(40, ge=3)
+    """Frames of a training drive, consecutive."""
+    frame_spacing: float = Field(1.05, gt=0)
+    """Mean metres between raw frames, as KITTI at 40 km/h."""
+    static_frames: int = Field(6, ge=0)
+    """Length of the stretch in the first training drive where the camera stands still."""
+    laser_train_frames: int = Field(5, ge=0)
+    """Frames with a laser scan in each training drive, evenly spread; baselines are fitted on them."""
+    azimuth_step: float = Field(0.35, gt=0)
+    """Degrees between the laser's firings; KITTI's 0.17 at half the width."""
+    test_drives: int = Field(2, ge=1)
+    """Scored drives, each in a street of its own."""
+    test_frames: int = Field(8, ge=1)
+    """Scored frames a test drive; only they are rendered."""
+    test_step: int = Field(5, ge=1)
+    """Frames between scored frames, as far apart as in the field's list."""
+    odometry_train: int = Field(1, ge=0, le=9)
+    """Training sequences 00, 01, ..."""
+    odometry_test: int = Field(2, ge=0, le=2)
+    """Test sequences 09 and 10."""
+    odometry_frames: int = Field(30, ge=3)
+    """Frames a training sequence; test sequences go on until their path is longer than 250 m."""
+    odometry_spacing: float = Field(2.5, gt=0)
+    """Mean metres between odometry frames: a fast car, so that 250 m need few frames."""
+    make3d_images: int = Field(3, ge=0)
+    """Upright photos with a laser grid."""
+    make3d_size: Size = (568, 426)
+    """Size of the photos, a quarter of Make3D's 2272x1704."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "World":
+        if self.train_seed == self.test_seed:
+            raise ValueError(f"train_seed and test_seed are both {self.train_seed}: the scored streets would be the training streets")
+        if self.static_frames > self.frames_per_drive:
+            raise ValueError(f"static_frames {self.static_frames} is more than frames_per_drive {self.frames_per_drive}")
+        return self
+
+
+class Data(Settings):
+    """Which frames are trained on and which are scored."""
+
+    source: Literal["miniature", "kitti", "own"]
+    """`own`: a data set of data_scripts/own_camera.py, which names its drives itself and has no ground truth."""
+    train_list: str | None = None
+    """Name of a field's list with its training triplets (`eigen_zhou`), used unchanged; else `train_drives`."""
+    train_drives: list[str] = []
+    """Drives like `2011_09_26/2011_09_26_drive_0095_sync`, with `:image_00` for one camera; neighbours in number make a triplet."""
+    cameras: list[str] = ["image_02"]
+    """Camera folders a drive is read from; the first that exists is used by `train_drives`."""
+    static_frames: str | None = None
+    """Name of a list of frames where the camera stands still; they are left out of `train_drives`."""
+    test_scenes: str | None = None
+    """Name of a list of drives that must not be trained on."""
+    baseline_frames: int = Field(400, ge=0)
+    """Training-side laser frames, at most, that the baselines without learning are fitted on."""
+    test_list: str | None = None
+    """Name of a list (`eigen_test`) or path of a file with the frames to score."""
+    allow_missing: bool = False
+    """Score what is there of an incomplete test list, and say "25 of 697" in the table."""
+    odometry_train: list[str] = [f"{number:02d}" for number in range(9)]
+    """Odometry sequences to train on, with `:image_0` for another camera than image_2; the paper's. The synthetic world has its own."""
+    odometry_test: list[str] = ["09", "10"]
+    """Odometry sequences to score; the paper's. The synthetic world has its own."""
+    hr_size: Size = (384, 1248)
+    """Input of HR-Net; LR-Net sees exactly a third of it (paper, section "Dual Network Architecture")."""
+
+    @model_validator(mode="after")
+    def _sizes(self) -> "Data":
+        if any(side % 96 or side < 192 for side in self.hr_size):
+            raise ValueError(
+                f"hr_size {self.hr_size}: both sides must be multiples of 96, at least 192 (a third, divided by 32, is reflected)"
+            )
+        if self.source == "kitti" and bool(self.train_list) == bool(self.train_drives):
+            raise ValueError("give either train_list or train_drives")
+        if self.source == "own" and (self.train_list or self.train_drives or self.test_list):
+            raise ValueError("train_list, train_drives and test_list are not for source: own, whose data set names its frames itself")
+        return self
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether the frames of the test list have ground truth; without it they are shown, not scored."""
+        return self.source != "own"
+
+    @property
+    def lr_size(self) -> tuple[int, int]:
+        """Input of LR-Net, (height, width)."""
+        return self.hr_size[0] // 3, self.hr_size[1] // 3
+
+
+class Augmentation(Settings):
+    """Random scale and crop (SfMLearner, GeoNet); the paper names no flip and no colour change."""
+
+    max_scale: float = Field(1.15, ge=1.0)
+    """Independent enlargement of x and y, uniform in [1, max_scale] (SfMLearner, GeoNet)."""
+    augment_first: bool = True
+    """Scale and crop at full resolution, then down-sample (paper, "Implementation Details")."""
+    beyond_paper_flip: bool = False
+    """Beyond the paper: mirror half of the samples."""
+
+
+class Loss(Settings):
+    """Weights of the paper's total loss; it gives none of them.
+
+    Ours lie between the lineage's ends (GeoNet and monodepth2). λ2 was chosen on the synthetic world, with streets that are scored nowhere;
+    the others are the first that learned on KITTI's drive 0095 in a trial of some hundred steps.
+    """
+
+    photometric: float = 1.0
+    """λ1."""
+    smoothness: float = 0.03
+    """λ2, halved at each coarser scale; acts on mean-normalised inverse depth. GeoNet has 0.5, monodepth2 0.001; of 0.01, 0.03 and 0.1 the
+    best for LR-Net by Abs Rel and δ<1.25 in the synthetic world."""
+    feature: float = 0.01
+    """λ3; small, since learned features can shrink to please it; 0 switches the loss off (the paper argues for it)."""
+    alpha: float = 0.85
+    """Share of SSIM in the photometric loss (paper)."""
+    mean_disparity: float = 10.0
+    """Spatial mean that each image's disparity is divided to, as DDVO codes it (0.1 × the mean); PoseNet's 0.01 fits steps of that size."""
+    scales: int = Field(4, ge=1, le=4)
+    """Resolutions 1/1, 1/2, 1/4, 1/8 (paper)."""
+    beyond_paper_automask: bool = False
+    """Beyond the paper: drop pixels that the unwarped source explains better (monodepth2)."""
+
+
+class StageSettings(Settings):
+    """One training stage."""
+
+    epochs: int = Field(40, ge=1)
+    """40 + 40 in the paper."""
+    batch_size: int = Field(4, ge=1)
+    """4 in the paper, both stages."""
+    learning_rates: list[tuple[int, float]] = Field([(10, 2e-4), (20, 1e-4), (40, 5e-5)], min_length=1)
+    """(last epoch, rate): the paper's steps. In shorter runs the epochs are stretched in proportion."""
+    beta1: float = 0.9
+    beta2: float = 0.999
+    max_steps: int | None = Field(None, ge=1)
+    """Ends the stage early; None trains all epochs."""
+
+
+class Training(Settings):
+    """Both stages and how they run."""
+
+    encoder: str = "resnet50"
+    """LR-Net's encoder: resnet50, resnet18, mobilenet_v2, or a hierarchical AutoBackbone's name or folder."""
+    pretrained: bool | str = True
+    """ImageNet weights for the encoder (paper), from the hub or its cache; a local folder to take them from; false needs no network."""
+    lr: StageSettings = StageSettings()
+    """Stage 1: LR-Net and PoseNet."""
+    hr: StageSettings = StageSettings()
+    """Stage 2: HR-Net and SA-Attention beside a frozen LR-Net; PoseNet goes on from stage 1."""
+    augmentation: Augmentation = Augmentation()
+    loss: Loss = Loss()
+    precision: Literal["auto", "float32", "bf16"] = "auto"
+    """Of the networks; geometry and losses are always float32. `auto`: bf16 where the device computes in it, which is faster there, else
+    float32; a training ends in the precision in which it began, and its card says which that was."""
+    channels_last: bool = True
+    workers: int = Field(2, ge=0)
+    """Loader processes."""
+    accumulate: int = Field(1, ge=1)
+    """Parts that a batch is cut into, for GPUs that cannot hold it whole; batch norm then sees the parts."""
+    checkpoint_every: int = Field(200, ge=1)
+    """Steps between resumable checkpoints."""
+    checkpoint_minutes: float = Field(10.0, gt=0)
+    """Minutes after which one is due, however few the steps."""
+    keep_checkpoints: int = Field(2, ge=1)
+    """How many are kept: if the newest is damaged, the one before is used."""
+    log_every: int = Field(20, ge=1)
+    """Steps between rows of the log."""
+    panel_every: int = Field(500, ge=1)
+    """Steps between image panels (target, warped, depth, error)."""
+
+
+class Evaluation(Settings):
+    """The protocol of the main table; the field's standard is the default (docs/protocols.md, "Depth on the Eigen split")."""
+
+    resize: Literal["depth", "disparity"] = "depth"
+    """What is resized to the ground truth's size; SfMLearner and GeoNet resize depth."""
+    crop: Literal["garg", "eigen", "none"] = "garg"
+    min_depth: float = Field(1e-3, gt=0)
+    max_depth: float = Field(80.0, gt=0)
+
+
+class Variant(Design, Settings):
+    """One training: which network learns (the words of `Design`), from what, what it changes in the profile (`dualdepth/variants.yaml`)."""
+
+    label: str
+    """Its name in tables."""
+    about: str
+    """One sentence for cards and notes."""
+    trains_on: Literal["depth", "odometry"] = "depth"
+    """`depth`: the drives of the depth tables; `odometry`: sequences of the odometry table, since each one's test drives are trained on
+    by the other."""
+    starts_from: str | None = None
+    """The variant of stage 1 whose LR-Net is frozen inside and whose PoseNet goes on; of `hr` only PoseNet."""
+    set: dict[str, Any] = Field({})
+    """Settings of the profile that differ, by dotted name: `training.loss.feature: 0`."""
+
+    @model_validator(mode="after")
+    def _start(self) -> "Variant":
+        if (self.starts_from is not None) != (self.network in ("dual", "hr")):
+            raise ValueError(f"network {self.network} {'has no' if self.starts_from else 'needs a'} variant in `starts_from`")
+        return self
+
+    @property
+    def stage(self) -> Literal["lr", "hr"]:
+        """Section of `training` with its epochs, batch and rates."""
+        return "lr" if self.network == "lr" else "hr"

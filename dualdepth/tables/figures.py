@@ -1,0 +1,116 @@
+"""The paper's qualitative figures, remade from our own predictions."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from dualdepth.evaluation.distance import FAR
+from dualdepth.evaluation.objects import POLE
+from dualdepth.plots import Picture, show_depth, show_error, show_image
+
+
+class CloseUp(NamedTuple):
+    """A part of an image, in pixels."""
+
+    top: int
+    left: int
+    height: int
+    width: int
+
+    def of(self, values: np.ndarray) -> np.ndarray:
+        """The part of (H, W, …)."""
+        return values[self.top : self.top + self.height, self.left : self.left + self.width]
+
+
+def around(row: float, column: float, shape: Sequence[int], share: float = 0.3) -> CloseUp:
+    """A window of `share` of the image's height and twice as wide, centred as near to (row, column) as the image allows."""
+    height = max(round(share * shape[0]), 8)
+    width = min(2 * height, shape[1])
+    top = int(np.clip(row - height / 2, 0, shape[0] - height))
+    left = int(np.clip(column - width / 2, 0, shape[1] - width))
+    return CloseUp(top, left, height, width)
+
+
+def interpolated(sparse: np.ndarray) -> np.ndarray:
+    """Laser depth (H, W; 0 = none) between its points, linear in inverse depth; 0 above the highest point. For pictures, not for scores."""
+    from scipy.interpolate import griddata
+    from scipy.spatial import QhullError
+
+    rows, columns = np.nonzero(sparse)
+    grid = np.mgrid[: sparse.shape[0], : sparse.shape[1]]
+    try:
+        inverse = griddata((rows, columns), 1 / sparse[rows, columns], tuple(grid), method="linear", fill_value=0.0)
+    except (QhullError, ValueError):  # too few points, or all on one line
+        return sparse
+    return np.where(inverse > 0, 1 / np.maximum(inverse, 1e-3), 0)
+
+
+def boundary_window(depth: np.ndarray) -> CloseUp:
+    """Where depth (H, W) jumps most: the window with the largest steps from left to right, on a logarithmic scale."""
+    import cv2
+
+    steps = np.abs(np.diff(np.log(np.maximum(depth, 1e-3)), axis=1)).clip(max=1)
+    steps[depth[:, 1:] * depth[:, :-1] <= 0] = 0
+    spread = max(0.3 * depth.shape[0], 8) / 3
+    density = cv2.GaussianBlur(steps, (0, 0), sigmaX=2 * spread, sigmaY=spread, borderType=cv2.BORDER_CONSTANT)
+    row, column = np.unravel_index(density.argmax(), density.shape)
+    return around(row + 0.5, column + 1, depth.shape)
+
+
+def far_window(truth: np.ndarray) -> CloseUp | None:
+    """Where most laser points beyond 20 m lie; None where there are none."""
+    far = truth > FAR
+    return around(*np.argwhere(far).mean(0), truth.shape) if far.any() else None
+
+
+def pole_window(labels: np.ndarray) -> CloseUp | None:
+    """Around the largest pole; None where there is none of 20 pixels or more."""
+    import cv2
+
+    count, _, stats, centres = cv2.connectedComponentsWithStats((labels == POLE).astype(np.uint8))
+    if count < 2 or stats[1:, cv2.CC_STAT_AREA].max() < 20:
+        return None
+    column, row = centres[1 + stats[1:, cv2.CC_STAT_AREA].argmax()]
+    return around(row, column, labels.shape, 0.5)
+
+
+def depth_rows(images: Sequence[np.ndarray], depths: dict[str, Sequence[np.ndarray]], titles: Sequence[str], unit: str = "m") -> Picture:
+    """Frames in rows: image, then one depth map in metres, or in another `unit`, for each name in `depths`."""
+    figure = Picture(figsize=_size(images[0].shape, len(images), 1 + len(depths)), layout="constrained")
+    cells = figure.subplots(len(images), 1 + len(depths), squeeze=False)
+    for number, (row, image, title) in enumerate(zip(cells, images, titles)):
+        show_image(row[0], image, title)
+        for axes, (name, maps) in zip(row[1:], depths.items()):
+            show_depth(axes, maps[number], name, bar=axes is row[-1], unit=unit)
+    return figure
+
+
+def close_ups(
+    images: Sequence[np.ndarray],
+    depths: dict[str, Sequence[np.ndarray]],
+    windows: Sequence[CloseUp],
+    titles: Sequence[str],
+    unit: str = "m",
+) -> Picture:
+    """Windows of frames in rows: image, then each depth map, in metres or in another `unit`."""
+    parts = {name: [w.of(d) for w, d in zip(windows, maps)] for name, maps in depths.items()}
+    return depth_rows([w.of(i) for w, i in zip(windows, images)], parts, titles, unit)
+
+
+def far_errors(
+    images: Sequence[np.ndarray], errors: dict[str, Sequence[np.ndarray]], windows: Sequence[CloseUp], titles: Sequence[str]
+) -> Picture:
+    """Windows of frames in rows: image, then relative errors (NaN = unknown), which show where distant objects go wrong."""
+    figure = Picture(figsize=_size((windows[0].height, windows[0].width), len(images), 1 + len(errors)), layout="constrained")
+    cells = figure.subplots(len(images), 1 + len(errors), squeeze=False)
+    for number, (row, image, window, title) in enumerate(zip(cells, images, windows, titles)):
+        show_image(row[0], window.of(image), title)
+        for axes, (name, maps) in zip(row[1:], errors.items()):
+            show_error(axes, window.of(maps[number]), name)
+    return figure
+
+
+def _size(shape: Sequence[int], rows: int, columns: int) -> tuple[float, float]:
+    """Figure size in inches for a grid of pictures of `shape` = (H, W, …) with a line of text above each."""
+    return 13.0, rows * (12.4 / columns * shape[0] / shape[1] + 0.22) + 0.1

@@ -1,0 +1,173 @@
+"""Odometry: PoseNet's motions along the test sequences, chained to trajectories, and the controls that they must beat."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from dualdepth.data.odometry import Trajectory, drives_of, frame_files, poses_path, read_trajectory, sequence_of, write_trajectory
+from dualdepth.device import default_device
+from dualdepth.errors import InputError
+from dualdepth.evaluation import odometry
+from dualdepth.evaluation.leaks import check_leak
+from dualdepth.evaluation.odometry import ALIGNMENTS, snippet_errors, snippets, trajectory_errors
+from dualdepth.files import atomic_path, file_digest, write_json
+from dualdepth.inference.predict import load_pose_net, predict_poses
+from dualdepth.run import Run, Sources
+from dualdepth.staleness import code_digest
+from dualdepth.tables.scoring import is_current
+from dualdepth.training.weights import load_card
+
+LENGTHS = (3, 5)
+"""Frames of a snippet: 3 as the paper, 5 as Zhou et al."""
+CONTROLS = {
+    "constant": "Constant velocity",
+    "straight": "Straight ahead",
+    "inverted": "Ground truth, every pose inverted",
+}
+"""What needs no learning, or is plainly wrong."""
+
+
+class SequenceScores(NamedTuple):
+    """How well one trajectory follows one sequence."""
+
+    snippets: dict[int, pd.DataFrame]
+    """By length: `ate` and `rmse` of each snippet, metres."""
+    trajectory: dict[str, dict[str, float]]
+    """By alignment: t_err, r_err, ate, rpe_t, rpe_r, segments."""
+
+
+def chain(motions: np.ndarray) -> np.ndarray:
+    """Camera poses of a sequence from PoseNet's motions.
+
+    Args:
+        motions: (N − 2, 2, 4, 4), target → previous and target → next frame, of the frames 1 … N − 2.
+
+    Returns:
+        (N, 4, 4), camera → first camera. The step from k to k + 1 is the one that the triplet around k gives; the first step, which
+        has no such triplet, is from the triplet around 1.
+    """
+    poses = [np.eye(4), motions[0, 0]]
+    for target_to_next in motions[:, 1]:
+        poses.append(poses[-1] @ np.linalg.inv(target_to_next))
+    return np.stack(poses)
+
+
+def triplet_snippets(motions: np.ndarray) -> np.ndarray:
+    """Snippets of three frames, each from one output of PoseNet as in SfMLearner: (N − 2, 3, 4, 4), camera → middle camera."""
+    middle = np.broadcast_to(np.eye(4), (len(motions), 4, 4))
+    return np.stack([np.linalg.inv(motions[:, 0]), middle, np.linalg.inv(motions[:, 1])], axis=1)
+
+
+def sequence_frames(run: Run, entry: str) -> dict[int, Path]:
+    """Image files of a test sequence by frame number.
+
+    Raises:
+        InputError: no images, or a gap between them.
+    """
+    files = frame_files(_root(run), entry)
+    numbers = list(files)
+    if numbers != list(range(numbers[0], numbers[0] + len(numbers))):
+        gap = next(a for a, b in pairwise(numbers) if b != a + 1)
+        raise InputError(f"{files[gap].parent}: frame {gap + 1} is missing; a trajectory needs all frames")
+    return files
+
+
+def true_trajectory(run: Run, entry: str) -> Trajectory:
+    """True poses of the frames of a test sequence that are there.
+
+    Raises:
+        InputError: the pose file is missing, bad, or shorter than the sequence.
+    """
+    path, numbers = poses_path(_root(run), entry), list(sequence_frames(run, entry))
+    poses = read_trajectory(path).poses
+    if numbers[-1] >= len(poses):
+        raise InputError(f"{path}: has {len(poses)} poses, but the sequence has a frame {numbers[-1]}")
+    return Trajectory(np.array(numbers), poses[numbers], False)
+
+
+def predicted_motions(run: Run, variant: str, seed: int, entry: str) -> np.ndarray:
+    """PoseNet's motions (N − 2, 2, 4, 4) along a test sequence; kept beside the weights and reused while they fit.
+
+    Raises:
+        InputError: the weights are missing, or were trained on the sequence.
+    """
+    weights = run.require(run.weights(variant, seed), f"of {variant}, seed {seed},")
+    check_leak(load_card(weights), scored_drives(run, [entry]), allow=Sources.load(run).allow_leak, weights=weights)
+    files = list(sequence_frames(run, entry).values())
+    path = run.training(variant, seed) / f"motions_{'_'.join(sequence_of(entry))}.npy"
+    frames = [[str(f.resolve()), f.stat().st_size, f.stat().st_mtime_ns] for f in files]
+    made_from = {"weights": file_digest(weights), "frames": frames, "code": code_digest("predict")}
+    if not is_current(path.with_suffix(".json"), made_from):
+        with atomic_path(path) as partial:
+            np.save(partial, predict_poses(load_pose_net(weights), files, device=default_device()))
+        write_json(path.with_suffix(".json"), made_from)
+    return np.load(path)
+
+
+def scored_drives(run: Run, entries: Sequence[str]) -> list[str]:
+    """Drives that sequences are of, as the guard against leaks names them."""
+    return drives_of(entries, world=run.profile.world is not None)
+
+
+def score_sequence(run: Run, variant: str, seed: int, entry: str) -> SequenceScores:
+    """Score a training's PoseNet on a test sequence, and write its trajectory to `results/<profile>/trajectories`."""
+    motions, truth = predicted_motions(run, variant, seed, entry), true_trajectory(run, entry)
+    poses = chain(motions)
+    write_trajectory(run.results / "trajectories" / f"{variant}_seed{seed}_{sequence_of(entry)[0]}.txt", poses)
+    return _scores(truth, poses, {3: triplet_snippets(motions)})
+
+
+def score_control(run: Run, name: str, entry: str) -> SequenceScores:
+    """Score one of `CONTROLS` on a test sequence."""
+    truth = true_trajectory(run, entry)
+    # the field stores snippets, each in its first frame's axes: there the mistake is made
+    cut = {n: odometry.inverted(snippets(truth.poses, n)) for n in LENGTHS if n <= len(truth.poses)} if name == "inverted" else {}
+    return _scores(truth, control_poses(run, name, truth), cut)
+
+
+def control_poses(run: Run, name: str, truth: Trajectory) -> np.ndarray:
+    """Trajectory (N, 4, 4) of one of `CONTROLS` along a test sequence.
+
+    Raises:
+        InputError: no training sequence has true poses, from which the constant velocity is taken.
+    """
+    if name == "straight":
+        return odometry.straight_ahead(len(truth.frames))
+    if name == "inverted":
+        return odometry.inverted(truth.poses)
+    known = [read_trajectory(poses_path(_root(run), entry)).poses for entry in known_sequences(run)]
+    return odometry.constant_velocity(len(truth.frames), odometry.mean_step(known))
+
+
+def known_sequences(run: Run) -> list[str]:
+    """Training sequences whose true poses are there.
+
+    Raises:
+        InputError: none has them.
+    """
+    root, (train, _) = _root(run), run.profile.odometry_sequences()
+    known = [sequence_of(entry)[0] for entry in train if poses_path(root, entry).is_file()]
+    if not known:
+        raise InputError(f"{root}: no true poses of training sequences {', '.join(train)}, from which the constant velocity is taken")
+    return known
+
+
+def _scores(truth: Trajectory, poses: np.ndarray, given: dict[int, np.ndarray] | None = None) -> SequenceScores:
+    """Scores of a trajectory; `given` has snippets that are not cut from it."""
+    cut = {length: snippets(poses, length) for length in LENGTHS if length <= len(poses)} | (given or {})
+    prediction = truth._replace(poses=poses)
+    return SequenceScores(
+        {length: snippet_errors(snippets(truth.poses, length), predicted) for length, predicted in cut.items()},
+        {how: trajectory_errors(truth, prediction, how) for how in ALIGNMENTS},
+    )
+
+
+def _root(run: Run) -> Path:
+    root = Sources.load(run).odometry_root
+    if root is None:
+        raise InputError("the odometry table needs ODOMETRY_ROOT; get it with python data_scripts/download_kitti.py --root DIR --odometry")
+    return root

@@ -1,0 +1,111 @@
+"""Checkpoints that a training goes on from (torch, `weights_only`); released weights are in `weights.py`."""
+
+import warnings
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import nn
+
+from dualdepth.device import Precision
+from dualdepth.errors import InputError
+from dualdepth.files import atomic_path
+
+KEYS = {"recipe", "parts", "step", "model", "optimizer"}
+
+
+def checkpoint_path(folder: str | Path, step: int) -> Path:
+    """File of a checkpoint."""
+    return Path(folder) / f"checkpoint_{step:08d}.pt"
+
+
+def checkpoint_paths(folder: str | Path) -> list[Path]:
+    """A folder's checkpoints, the newest first."""
+    return sorted(Path(folder).glob("checkpoint_*.pt"), reverse=True)
+
+
+def save_checkpoint(
+    folder: str | Path,
+    step: int,
+    model: nn.Module,
+    optimizer: torch.optim.Optimizer,
+    *,
+    recipe: str,
+    parts: int = 1,
+    precision: Precision = "float32",
+    keep: int = 2,
+) -> Path:
+    """Write what a resume needs, atomically: written, flushed, read back, renamed. Then all but the newest `keep` are removed.
+
+    Args:
+        folder: of the training.
+        step: steps done.
+        model: that is trained.
+        optimizer: of it.
+        recipe: digest of all that shapes the result.
+        parts: that each batch was cut into, by accumulation and processes together.
+        precision: in which the networks compute.
+        keep: how many are kept.
+
+    Raises:
+        OSError: it could not be written; the checkpoints before it are untouched.
+    """
+    path = checkpoint_path(folder, step)
+    state = {"recipe": recipe, "parts": parts, "precision": precision, "step": step}
+    state |= {"model": model.state_dict(), "optimizer": optimizer.state_dict()}
+    with atomic_path(path) as partial:
+        try:
+            torch.save(state, partial)
+            _read(partial)
+        except (RuntimeError, zipfile.BadZipFile) as error:  # how torch tells of a full disk
+            raise OSError(f"{path}: {str(error).splitlines()[0]}") from error
+    for old in checkpoint_paths(folder)[keep:]:
+        old.unlink(missing_ok=True)
+    return path
+
+
+def _read(path: Path) -> Any:
+    """What `torch.save` wrote. It gives each tensor a checksum, which `torch.load` does not look at, but `zipfile` does."""
+    with zipfile.ZipFile(path) as archive:
+        if damaged := archive.testzip():
+            raise zipfile.BadZipFile(f"{damaged} is damaged")
+    with warnings.catch_warnings(action="ignore"):  # of a foreign file, which its reader's error tells of
+        return torch.load(path, map_location="cpu", weights_only=True)
+
+
+def load_checkpoint(path: str | Path) -> dict[str, Any]:
+    """Read a checkpoint: `recipe`, `parts`, `precision`, `step`, `model`, `optimizer`.
+
+    Raises:
+        InputError: the file is missing, truncated, changed, foreign, or holds anything but tensors and plain values (its code is not run).
+    """
+    path = Path(path)
+    try:
+        state = _read(path)
+        if set(state) >= KEYS:
+            # one that has no precision is from before that was kept, and so of another recipe, which is not resumed
+            return {"precision": "float32"} | state
+        reason = "keys are missing"
+    except Exception as error:  # torch, pickle and zip have a kind for each damage
+        reason = (str(error) or type(error).__name__).splitlines()[0]
+    raise InputError(f"{path}: not a checkpoint of this project ({reason}); delete it to train from the start")
+
+
+def last_checkpoint(folder: str | Path, say: Callable[[str], object] = print) -> dict[str, Any] | None:
+    """The newest checkpoint of a folder that can be read; None where there is none. `say` is told of damaged ones.
+
+    Raises:
+        InputError: there are some, and none can be read.
+    """
+    damage = None
+    for path in checkpoint_paths(folder):
+        try:
+            return load_checkpoint(path)
+        except InputError as error:
+            say(f"warning: {error}; trying the one before")
+            damage = error
+    if damage:
+        raise damage
+    return None

@@ -1,0 +1,90 @@
+"""What a training leaves to look at: rows of numbers (CSV and TensorBoard) and pictures."""
+
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import pandas as pd
+from accelerate import Accelerator
+from accelerate.utils import gather_object
+from torch import Tensor
+
+from dualdepth.files import write_text
+from dualdepth.losses import Losses
+
+
+class TrainingLog:
+    """Rows by step in `log.csv`, the same in TensorBoard, pictures in `panels/`.
+
+    A resumed training drops rows and pictures after its checkpoint and goes on, so a log never holds a step twice. What
+    cannot be written is told to `say` and does not stop the training; rows are kept and written with the next.
+    """
+
+    def __init__(self, folder: Path, step: int, say: Callable[[str], object] = print) -> None:
+        from torch.utils.tensorboard import SummaryWriter
+
+        self.folder, self.path, self.say = folder, folder / "log.csv", say
+        self.rows = [row for row in read_log(self.path).to_dict("records") if row["step"] <= step] if self.path.exists() else []
+        self.writer = SummaryWriter(str(folder / "tensorboard"), purge_step=step + 1)
+        for picture in (folder / "panels").glob("step_*.png"):
+            if int(picture.stem[5:]) > step:
+                picture.unlink()
+
+    def row(self, step: int, values: dict[str, float]) -> None:
+        """Add the numbers of a step."""
+        self.rows.append({"step": step} | values)
+        with self._told():
+            write_text(self.path, pd.DataFrame(self.rows).to_csv(index=False, float_format="%.6g"))
+            for name, value in values.items():
+                self.writer.add_scalar(name, value, step)
+
+    def panel(self, step: int, target: Tensor, losses: Losses, disparity: Tensor) -> None:
+        """Picture of the batch's first sample: target, warped source, depth, error.
+
+        Args:
+            step: steps done.
+            target: (3, H, W) in [0, 1].
+            losses: of the batch.
+            disparity: (1, H, W).
+        """
+        from dualdepth import plots
+
+        figure = plots.training_panel(
+            target.cpu().numpy(), losses.synthesized[0].cpu().numpy(), disparity[0].cpu().numpy(), losses.error[0, 0].cpu().numpy()
+        )
+        with self._told():
+            plots.save(figure, self.folder / "panels" / f"step_{step:07d}.png")
+            self.writer.add_figure("panel", figure, step)
+
+    def last(self) -> dict[str, float]:
+        """The losses of the last row, for the weights' card."""
+        return {name: self.rows[-1][name] for name in ("loss", "photometric", "smoothness", "feature")} if self.rows else {}
+
+    def close(self) -> None:
+        """Flush TensorBoard's file."""
+        with self._told():
+            self.writer.close()
+
+    @contextlib.contextmanager
+    def _told(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            self.say(f"warning: the log was not written ({error}); training goes on")
+
+
+def combine(accelerator: Accelerator, parts: Sequence[dict[str, Tensor]]) -> dict[str, float]:
+    """One number for each statistic of a step, from all parts of its batch on all processes: their mean, or the extreme of extremes."""
+    rows = [{name: value.item() for name, value in part.items()} for part in parts]
+    rows = gather_object(rows) if accelerator.num_processes > 1 else rows
+
+    def one(name: str) -> float:
+        values = [row[name] for row in rows]
+        return min(values) if name.endswith("_min") else max(values) if name.endswith("_max") else sum(values) / len(values)
+
+    return {name: one(name) for name in rows[0]}
+
+
+def read_log(path: str | Path) -> pd.DataFrame:
+    """The rows of a training's `log.csv`."""
+    return pd.read_csv(path)

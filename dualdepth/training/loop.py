@@ -1,0 +1,269 @@
+"""The training loop, the same for both stages: stateless sampling, so that a resume needs only weights, optimiser and step."""
+
+import contextlib
+import signal
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from accelerate import Accelerator, DistributedDataParallelKwargs
+from accelerate.utils import set_seed
+from torch.utils.data import DataLoader
+from tqdm import tqdm
+
+from dualdepth.data.loading import StatelessBatches, TripletDataset, make_loader
+from dualdepth.data.triplets import Triplet
+from dualdepth.device import choose_precision, default_device, device_name, is_main_process, several_on_cpu
+from dualdepth.errors import InputError
+from dualdepth.files import check_writable, remove_leftovers
+from dualdepth.profile import Profile
+from dualdepth.settings import StageSettings
+from dualdepth.training.checkpoints import checkpoint_paths, last_checkpoint, save_checkpoint
+from dualdepth.training.log import TrainingLog, combine
+from dualdepth.training.stages import Stage, StageOutput
+from dualdepth.training.weights import save_weights
+
+
+def learning_rate(stage: StageSettings, step: int, total: int) -> float:
+    """Rate of optimiser step `step` (from 0) of `total`: the paper's steps, stretched in proportion to shorter runs."""
+    nominal_epochs = stage.learning_rates[-1][0]
+    epoch = step / total * nominal_epochs  # completed nominal epochs, so epoch 10 ends when this reaches 10
+    return next((rate for last, rate in stage.learning_rates if epoch < last), stage.learning_rates[-1][1])
+
+
+def total_steps(stage: StageSettings, samples: int) -> int:
+    """Optimiser steps of a stage over `samples` triplets."""
+    steps = stage.epochs * (samples // stage.batch_size)
+    return min(steps, stage.max_steps) if stage.max_steps is not None else steps
+
+
+class Trainer:
+    """Trains one stage to its end, from its last checkpoint if there is one, and writes `model.safetensors` with its card.
+
+    A checkpoint or a log that cannot be written is a warning, and the training goes on; weights that cannot be are an error, and the last
+    checkpoint stays.
+
+    Args:
+        make_model: builds the stage.
+        stage: epochs, batch, learning rates.
+        profile: the rest of the settings.
+        triplets: what is trained on.
+        folder: of this run; holds `checkpoint_*.pt`, `log.csv`, `panels/`, `tensorboard/`, `model.safetensors`, `model.json`.
+        seed: of initialisation, order and augmentation.
+        recipe: digest of all that shapes the result; a checkpoint of another recipe is not resumed.
+
+    Raises:
+        InputError: too few triplets, a checkpoint that cannot be read, or a folder that cannot be written.
+    """
+
+    def __init__(
+        self,
+        make_model: Callable[[], Stage],
+        stage: StageSettings,
+        profile: Profile,
+        triplets: Sequence[Triplet],
+        folder: str | Path,
+        *,
+        seed: int,
+        recipe: str,
+    ) -> None:
+        self.stage, self.profile, self.settings, self.triplets = stage, profile, profile.training, triplets
+        self.folder, self.seed, self.recipe = Path(folder), seed, recipe
+        self.total, self.start, self.saved_at = total_steps(stage, len(triplets)), 0, time.monotonic()
+        checkpoint = last_checkpoint(self.folder, lambda line: print(line) if is_main_process() else None)
+        resumed = bool(checkpoint) and checkpoint["recipe"] == recipe
+        chosen = choose_precision(self.settings.precision, default_device(), profile.data.lr_size)
+        self.precision = checkpoint["precision"] if resumed else chosen
+        # heads of scales that the loss does not look at get no gradient
+        ddp = DistributedDataParallelKwargs(find_unused_parameters=self.settings.loss.scales < 4)
+        bf16 = "bf16" if self.precision == "bf16" else "no"
+        self.accelerator = Accelerator(cpu=several_on_cpu(), mixed_precision=bf16, kwargs_handlers=[ddp])
+        self.main = self.accelerator.is_main_process
+        self.parts = self.settings.accumulate * self.accelerator.num_processes
+        """Parts that a batch is cut into; batch norm sees each by itself."""
+        if self.main:
+            check_writable(self.folder)
+            remove_leftovers(self.folder)
+        self._prepare(make_model, checkpoint if resumed else None)
+        if checkpoint and not resumed:
+            step = checkpoint["step"]
+            self.accelerator.print(f"{self.folder}: settings or code changed since the checkpoint of step {step}; training from the start")
+
+    def _prepare(self, make_model: Callable[[], Stage], checkpoint: dict[str, Any] | None) -> None:
+        """Model and optimiser, new or as the checkpoint has them, on this process's device."""
+        set_seed(self.seed)
+        torch.use_deterministic_algorithms(True, warn_only=True)
+        model = make_model()
+        if self.settings.channels_last:
+            model = model.to(memory_format=torch.channels_last)
+        self.trained = [p for p in model.parameters() if p.requires_grad]
+        betas = self.stage.beta1, self.stage.beta2
+        optimizer = torch.optim.Adam(self.trained, lr=self.stage.learning_rates[0][1], betas=betas)
+        if checkpoint:
+            model.load_state_dict(checkpoint["model"])
+            optimizer.load_state_dict(checkpoint["optimizer"])
+            self.start, parts = checkpoint["step"], checkpoint["parts"]
+            self.accelerator.print(f"resuming {self.folder} at step {self.start} of {self.total}, in {self.precision}")
+            if parts != self.parts:
+                self.accelerator.print(f"batches were cut in {parts}, now in {self.parts}: same samples, other batch norm, other digits")
+        self.accelerator.wait_for_everyone()  # all have read what is now removed
+        if self.main and not self.start:
+            for path in checkpoint_paths(self.folder):
+                path.unlink(missing_ok=True)
+        self.model, self.optimizer = self.accelerator.prepare(model, optimizer)
+
+    def run(self, card: dict[str, Any]) -> Path:
+        """Train to the end and write the weights; `card` is what theirs says, beside the training's own facts.
+
+        Raises:
+            InputError: a bad image, weights that cannot be written, or a loss, pose or gradient that is not finite (with the names of the
+                batch).
+            SystemExit: SIGTERM came; a checkpoint was written first.
+        """
+        log = TrainingLog(self.folder, self.start, tqdm.write) if self.main else None
+        self.model.train()
+        began = time.perf_counter()
+        name = f"{self.folder.parent.name} {self.folder.name}"
+        bar = tqdm(total=self.total, initial=self.start, desc=name, unit="step", disable=not self.main)
+        batches = one_line_errors(self._loader())
+        with bar, contextlib.closing(batches), StopRequest(self.accelerator) as stop:
+            for step in range(self.start + 1, self.total + 1):
+                logged = step % self.settings.log_every == 0 or step in (1, self.total)
+                output, statistics = self._step(step, batches, logged)
+                bar.update()
+                if logged:
+                    values = combine(self.accelerator, statistics)
+                if log and logged:
+                    rate = (step - self.start) / (time.perf_counter() - began)
+                    log.row(step, values | {"learning_rate": self.optimizer.param_groups[0]["lr"], "steps_per_second": rate})
+                    bar.set_postfix(photometric=f"{values['photometric']:.4f}")
+                if log and (step % self.settings.panel_every == 0 or step == self.total):
+                    log.panel(step, output.target[0], output.losses, output.disparity[0])
+                stopping = stop.agreed()
+                if stopping or step == self.total or self._checkpoint_due(step):
+                    self._save(step)
+                if stopping:
+                    raise SystemExit(f"stopped at step {step} of {self.total}; run the same command to go on")
+        return self._finish(card, log, time.perf_counter() - began)
+
+    def _loader(self) -> DataLoader:
+        """What is left of the samples, this process's share of each batch."""
+        batches = StatelessBatches(
+            len(self.triplets),
+            self.stage.batch_size,
+            self.seed,
+            self.start,
+            self.total,
+            accumulate=self.settings.accumulate,
+            rank=self.accelerator.process_index,
+            processes=self.accelerator.num_processes,
+        )
+        self.accelerator.wait_for_everyone()
+        dataset = TripletDataset(self.triplets, self.profile.data.hr_size, self.settings.augmentation, self.seed)
+        return make_loader(dataset, batches, self.settings.workers)
+
+    def _step(self, step: int, batches: Iterator[dict[str, Any]], logged: bool) -> tuple[StageOutput, list[dict[str, torch.Tensor]]]:
+        """One optimisation step over all parts of its batch: the last part's output, and, where it is logged, each part's statistics."""
+        accelerator, accumulate = self.accelerator, self.settings.accumulate
+        for group in self.optimizer.param_groups:
+            group["lr"] = learning_rate(self.stage, step - 1, self.total)
+        self.optimizer.zero_grad()
+        names: list[str] = []
+        statistics: list[dict[str, torch.Tensor]] = []
+        for part in range(accumulate):
+            batch = {k: v.to(accelerator.device) if torch.is_tensor(v) else v for k, v in next(batches).items()}
+            names += batch["name"]
+            # an encoder's own draws, such as dropout, are functions of seed, step and part, too
+            draw = part * accelerator.num_processes + accelerator.process_index
+            torch.manual_seed((self.seed * self.total + step) * self.parts + draw)
+            with contextlib.nullcontext() if part == accumulate - 1 else accelerator.no_sync(self.model):
+                output = self.model(batch)
+                self._check_finite("loss", output.losses.total, step, names)
+                self._check_finite("pose", output.poses.sum(), step, names)  # its pixels count as unseen, so the loss is blind to it
+                accelerator.backward(output.losses.total / accumulate)
+            if logged:
+                statistics.append(output.statistics)
+        # a finite loss can have an infinite gradient; caught here, it has not reached the weights
+        norm = torch.nn.utils.get_total_norm(p.grad for p in self.trained if p.grad is not None)
+        self._check_finite("gradient", norm, step, names)
+        self.optimizer.step()
+        return output, statistics
+
+    def _check_finite(self, what: str, value: torch.Tensor, step: int, names: Sequence[str]) -> None:
+        if not torch.isfinite(value):
+            # no checkpoint: the forward pass may have spoilt batch norm's statistics; the last one stays
+            raise InputError(
+                f"{self.folder}: {what} is {value.item()} at step {step}, frames {', '.join(names)}; look at these frames and their"
+                " intrinsics, lower training's learning_rates, or set training.precision to float32"
+            )
+
+    def _checkpoint_due(self, step: int) -> bool:
+        late = time.monotonic() - self.saved_at > 60 * self.settings.checkpoint_minutes
+        return step % self.settings.checkpoint_every == 0 or late
+
+    def _save(self, step: int) -> None:
+        """Write a checkpoint; one that cannot be written is a warning, since the training is worth more; the next is tried in its time."""
+        self.saved_at = time.monotonic()
+        if not self.main:
+            return
+        state = {"recipe": self.recipe, "parts": self.parts, "precision": self.precision, "keep": self.settings.keep_checkpoints}
+        try:
+            save_checkpoint(self.folder, step, self.accelerator.unwrap_model(self.model), self.optimizer, **state)
+        except OSError as error:
+            before = checkpoint_paths(self.folder)
+            kept = f"the last good one is {before[0].name}" if before else "there is none yet"
+            tqdm.write(f"warning: checkpoint of step {step} was not written ({error}); {kept}, training goes on")
+
+    def _finish(self, card: dict[str, Any], log: TrainingLog | None, seconds: float) -> Path:
+        """Write the weights with their card, then remove the checkpoints."""
+        self.accelerator.wait_for_everyone()
+        weights = self.folder / "model.safetensors"
+        if log:
+            facts = {"steps": self.total, "seconds_of_last_run": round(seconds, 1), "resumed_at": self.start, "device": device_name()}
+            facts |= {"precision": self.precision, "batch_parts": self.parts, "last_losses": log.last()}
+            log.close()
+            model = self.accelerator.unwrap_model(self.model)
+            save_weights(weights, model, card | {"seed": self.seed, "recipe": self.recipe} | facts)
+            for path in checkpoint_paths(self.folder):
+                path.unlink(missing_ok=True)
+        self.accelerator.wait_for_everyone()
+        return weights
+
+
+def one_line_errors(loader: DataLoader) -> Iterator[dict[str, Any]]:
+    """The loader's batches; a bad image met by a worker process is told without the worker's traceback."""
+    try:
+        yield from loader
+    except InputError as error:
+        raise InputError(str(error).rsplit("InputError: ", 1)[-1].strip()) from None
+
+
+class StopRequest:
+    """Notes SIGTERM (a cluster's notice), so that the loop can write a checkpoint at the end of its step."""
+
+    def __init__(self, accelerator: Accelerator) -> None:
+        self.accelerator, self.noted = accelerator, False
+
+    def agreed(self) -> bool:
+        """Whether any process was told to stop; all of them ask after each step, so that they stop at the same one."""
+        if self.accelerator.num_processes == 1:
+            return self.noted
+        if self.noted:
+            self.accelerator.set_trigger()
+        return self.accelerator.check_trigger()
+
+    def __enter__(self) -> "StopRequest":
+        try:
+            self.before = signal.signal(signal.SIGTERM, self._note)
+        except ValueError:  # not the main thread: nobody can send us signals
+            self.before = None
+        return self
+
+    def _note(self, *_: object) -> None:
+        self.noted = True
+
+    def __exit__(self, *_: object) -> None:
+        if self.before is not None:
+            signal.signal(signal.SIGTERM, self.before)

@@ -1,0 +1,91 @@
+"""What one optimisation step computes, from a batch of bytes to the losses."""
+
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from dualdepth.geometry import low_resolution, resize_intrinsics, to_unit
+from dualdepth.losses import Losses, total_loss
+from dualdepth.networks.pose_net import PoseNet
+from dualdepth.settings import Training
+
+
+class StageOutput(NamedTuple):
+    """Losses of a batch, what a picture of it needs, and what its numbers for the log are taken from; all but the losses is detached."""
+
+    losses: Losses
+    target: Tensor
+    """(B, 3, H, W) in [0, 1]."""
+    disparity: Tensor
+    """(B, 1, H, W), finest scale."""
+    poses: Tensor
+    """(B, S, 6), target → source."""
+    features: Tensor
+    """(B, 16, H, W), the decoder's last."""
+    attention_scale: Tensor | None = None
+    """Root mean square of SA-Attention's features, where there are some."""
+
+    @property
+    @torch.no_grad()
+    def statistics(self) -> dict[str, Tensor]:
+        """Numbers for the log, 0-d: loss components, pose size (depth units, radians), disparity, spread of the features."""
+        losses, disparity = self.losses, self.disparity
+        numbers = {
+            "loss": losses.total.detach(),
+            "photometric": losses.photometric.detach(),
+            "smoothness": losses.smoothness.detach(),
+            "feature": losses.feature.detach(),
+            "valid_share": losses.valid_share,
+            "translation": self.poses[..., :3].norm(dim=-1).mean(),
+            "rotation": self.poses[..., 3:].norm(dim=-1).mean(),
+            "disparity_min": disparity.amin(),
+            "disparity_mean": disparity.mean(),
+            "disparity_max": disparity.amax(),
+            "disparity_spread": disparity.std(dim=(2, 3)).mean() / disparity.mean(),
+            "feature_spread": self.features.float().std(dim=(2, 3)).mean(),
+        }
+        return numbers if self.attention_scale is None else numbers | {"attention_scale": self.attention_scale}
+
+
+class Stage(nn.Module):
+    """A step of either stage (paper, sections "Dual Network Architecture" and "Loss").
+
+    Stage 1: LR-Net and PoseNet learn together from LR images. Stage 2: the depth network learns from HR images by L_ph and L_smooth alone;
+    PoseNet sees LR images as before and goes on learning.
+
+    Args:
+        depth_net: from images to disparities; what is frozen in it stays so.
+        pose_net: a new one, or that of stage 1.
+        training: losses, augmentation, memory layout.
+        low: stage 1, the depth network sees LR images.
+    """
+
+    def __init__(self, depth_net: nn.Module, pose_net: PoseNet, training: Training, *, low: bool) -> None:
+        super().__init__()
+        self.depth_net, self.pose_net = depth_net, pose_net
+        self.loss, self.channels_last, self.low = training.loss, training.channels_last, low
+        self.hr_batch = training.augmentation.augment_first or not low
+        """Whether batches have the HR size; frames that are shrunk before they are augmented have the LR size."""
+
+    def forward(self, batch: dict[str, Any]) -> StageOutput:
+        """Losses of a batch with `images` (B, 3, 3, H, W) uint8, target first, and `intrinsics` (B, 3, 3)."""
+        images, matrix = to_unit(batch["images"]), batch["intrinsics"]
+        small = low_resolution(images) if self.hr_batch else images
+        if self.low and self.hr_batch:
+            images, matrix = small, resize_intrinsics(matrix, 1 / 3, 1 / 3)
+        # the sources' depth features are needed for the feature loss alone
+        with_features = self.low and self.loss.feature > 0
+        views = images if with_features else images[:, :1]
+        network_input = views.flatten(0, 1)
+        if self.channels_last:
+            network_input = network_input.contiguous(memory_format=torch.channels_last)
+        output = self.depth_net(network_input, self.loss.scales)
+        poses = self.pose_net(small)
+        disparities = [d.unflatten(0, views.shape[:2])[:, 0] for d in output.disparities]
+        features = output.features.unflatten(0, views.shape[:2])
+        with torch.autocast(images.device.type, enabled=False):
+            pair = (features[:, 0], features[:, 1:]) if with_features else None
+            losses = total_loss(images, matrix, disparities, poses, self.loss, pair)
+        scale = getattr(getattr(self.depth_net, "attention", None), "scale", None)
+        return StageOutput(losses, images[:, 0], disparities[0].detach(), poses.detach(), features[:, 0].detach(), scale)

@@ -1,0 +1,161 @@
+"""What a variant of a profile trains: its triplets, the stage-1 weights that it starts from, its network inside a stage, its card."""
+
+import contextlib
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from dualdepth.data.odometry import drives_of, load_odometry_triplets
+from dualdepth.data.triplets import Triplet, load_triplets, read_targets
+from dualdepth.device import is_main_process, keep_freed_memory, wait_for_everyone
+from dualdepth.errors import InputError
+from dualdepth.files import check_writable, locked, write_text
+from dualdepth.networks.pose_net import PoseNet
+from dualdepth.profile import Profile
+from dualdepth.run import Run, Sources
+from dualdepth.settings import Variant
+from dualdepth.training.loop import Trainer
+from dualdepth.training.stages import Stage
+from dualdepth.training.weights import finished_card, load_card, load_weights
+
+PATIENCE = 15.0
+"""Seconds that a training waits for the one before it, which may have been told to stop, or be left behind by a killed chain."""
+
+
+def train_variant(run: Run, name: str, seed: int) -> Path:
+    """Train a variant, or go on with it, or find it done; returns its weights.
+
+    Nothing else trains the same variant and seed meanwhile; of several processes that train together the first holds the lock.
+
+    Raises:
+        InputError: an unknown variant; prepared data or stage 1's weights are missing, or those are of another network; too few
+            triplets; a bad frame; a live process trains the same.
+    """
+    keep_freed_memory()
+    variant, profile = run.profile.variant(name), run.profile.of_variant(name)
+    triplets, drives = training_data(run, name)
+    start = start_weights(run, variant, seed)
+    if start:
+        check_start(start, profile, variant)
+    folder, weights, recipe = run.training(name, seed), run.weights(name, seed), run.recipe(name, seed)
+    with _alone(folder):
+        if (card := finished_card(weights)) and card.get("recipe") == recipe:
+            if is_main_process():
+                print(f"already trained: {card['steps']} steps, seed {seed}")
+            return _mark(weights)
+        settings = getattr(profile.training, variant.stage)
+        trainer = Trainer(lambda: make_stage(run.profile, name, start), settings, profile, triplets, folder, seed=seed, recipe=recipe)
+        return _mark(trainer.run(_card(run, name, len(triplets), drives, start)))
+
+
+@contextlib.contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Hold the lock of a training's folder; the other processes wait for the first one to have it, before anything is read."""
+    with contextlib.ExitStack() as held:
+        if is_main_process():
+            check_writable(folder)
+            held.enter_context(locked(folder / "lock", PATIENCE))
+        wait_for_everyone()
+        yield
+
+
+def training_data(run: Run, name: str) -> tuple[list[Triplet], list[str]]:
+    """Prepared triplets of a variant, and the drives that they are of.
+
+    Raises:
+        InputError: they are not prepared, or there are no odometry sequences.
+    """
+    sources, odometry = Sources.load(run), run.profile.variant(name).trains_on == "odometry"
+    if odometry and sources.odometry_root is None:
+        raise InputError(f"variant {name} needs ODOMETRY_ROOT; get it with python data_scripts/download_kitti.py --root DIR --odometry")
+    index = run.require(run.index(name), "02_prepare_data")
+    if not odometry:
+        return load_triplets(index, sources.kitti_root), sorted({frame.drive for frame, _ in read_targets(index)})
+    triplets, sequences = load_odometry_triplets(index, sources.odometry_root)
+    return triplets, drives_of(sequences, world=run.profile.world is not None)
+
+
+def start_weights(run: Run, variant: Variant, seed: int) -> Path | None:
+    """Weights of stage 1 that a variant starts from, None where it starts from nothing.
+
+    Raises:
+        InputError: they are not there.
+    """
+    if variant.starts_from is None:
+        return None
+    return run.require(run.weights(variant.starts_from, seed), f"03_train_lr, variant {variant.starts_from}, seed {seed},")
+
+
+def make_stage(profile: Profile, name: str, start: Path | None = None) -> Stage:
+    """The stage that a variant trains, with stage 1's LR-Net and PoseNet in it where it starts from them.
+
+    Args:
+        profile: that has the variant.
+        name: of the variant.
+        start: weights of stage 1.
+
+    Raises:
+        InputError: the weights are of another size or backbone, damaged, or not of stage 1.
+    """
+    variant, settings = profile.variant(name), profile.of_variant(name)
+    # a dual network's LR-Net has the weights of `start`: only a first training begins with ImageNet's
+    pretrained = settings.training.pretrained if variant.network in ("lr", "single") else False
+    depth_net = profile.architecture(name).build(pretrained)
+    stage = Stage(depth_net, PoseNet(), settings.training, low=variant.network == "lr")
+    if start:
+        check_start(start, settings, variant)
+        load_weights(start, stage.pose_net, prefix="pose_net.")
+        if variant.network == "dual":
+            load_weights(start, stage.depth_net.lr_net, prefix="depth_net.")
+    return stage
+
+
+def check_start(start: Path, profile: Profile, variant: Variant) -> None:
+    """Make sure that weights of stage 1 are what a variant can start from.
+
+    Raises:
+        InputError: their card is not of this project, or they are of another network, backbone or size.
+    """
+    card = load_card(start)
+    missing = {"variant", "seed", "steps", "sha256", "drives", "pretrained"} - set(card)
+    if missing and card.get("network") == "lr":
+        raise InputError(f"{start}: its card has no {sorted(missing)[0]}; train {variant.starts_from} again")
+    found = (card.get("network"), card.get("encoder"), card.get("hr_size"))
+    needed = ("lr", profile.training.encoder, list(profile.data.hr_size))
+    if found != needed:
+        differing = [f"{name} {f!r} instead of {n!r}" for name, f, n in zip(("network", "encoder", "hr_size"), found, needed) if f != n]
+        raise InputError(f"{start}: trained with {', '.join(differing)}; train {variant.starts_from} again with this profile")
+
+
+def _pretrained(variant: Variant, profile: Profile, before: dict[str, Any] | None) -> bool:
+    """Whether the encoder began with ImageNet's weights, here or in stage 1."""
+    if variant.network == "hr":
+        return False
+    return before["pretrained"] if before else bool(profile.training.pretrained)
+
+
+def _mark(weights: Path) -> Path:
+    """Write `trained.json`, which tells the chain that these weights are done; the weights themselves are never the chain's to delete."""
+    marker = weights.with_name("trained.json")
+    if not is_main_process():
+        return weights
+    digest = json.dumps({"weights_sha256": load_card(weights)["sha256"]}) + "\n"
+    if not marker.exists() or marker.read_text(encoding="utf-8") != digest:
+        write_text(marker, digest)
+    return weights
+
+
+def _card(run: Run, name: str, triplets: int, drives: list[str], start: Path | None) -> dict[str, Any]:
+    variant, profile = run.profile.variant(name), run.profile.of_variant(name)
+    before = load_card(start) if start else None
+    return {
+        "variant": name,
+        "about": f"{variant.about}, trained on {triplets} triplets: {run.profile.about}",
+        **run.profile.architecture(name).model_dump(),
+        "hr_size": list(profile.data.hr_size),
+        "pretrained": _pretrained(variant, profile, before),
+        "drives": sorted(set(drives) | set(before["drives"] if before else ())),
+        "starts_from": {k: before[k] for k in ("variant", "seed", "steps", "sha256")} if before else None,
+        "stamp": run.stamp([run.index(name), *([start] if start else [])]),
+    }

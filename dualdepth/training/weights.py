@@ -1,0 +1,100 @@
+"""Released weights: safetensors, and beside them a JSON card that says what they are and what they learned from."""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+from torch import nn
+
+from dualdepth.errors import InputError
+from dualdepth.files import atomic_path, write_json
+
+HUB_CARD = "config.json"
+
+
+def save_weights(path: str | Path, model: nn.Module, card: dict[str, Any], card_name: str | None = None) -> None:
+    """Write weights as safetensors and beside them `<name>.json`, or `card_name`, the card, with the weights' sha256 in it.
+
+    The card goes first, so that weights are never there without one.
+
+    Raises:
+        InputError: they could not be written.
+    """
+    path = Path(path)
+    tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in model.state_dict().items()}
+    try:
+        with atomic_path(path) as partial:
+            save_file(tensors, partial)
+            beside = path.with_name(card_name or f"{path.stem}.json")
+            write_json(beside, card | {"sha256": hashlib.sha256(partial.read_bytes()).hexdigest()})
+            partial.chmod(beside.stat().st_mode)  # safetensors keeps its files from all others
+    except (OSError, SafetensorError) as error:
+        raise InputError(f"{path}: could not be written ({error}); free space, then the same command goes on from the checkpoint") from None
+
+
+def load_card(path: str | Path) -> dict[str, Any]:
+    """Read the card of a weights file: `<name>.json` beside it, or else `config.json`, as the model hub has it.
+
+    Raises:
+        InputError: there is none, or it is not JSON.
+    """
+    card = Path(path).with_suffix(".json")
+    if not card.exists() and card.with_name(HUB_CARD).exists():
+        card = card.with_name(HUB_CARD)
+    try:
+        values = json.loads(card.read_text(encoding="utf-8"))
+        if not isinstance(values, dict):
+            raise ValueError(f"expected a mapping, found {type(values).__name__}")
+        drives = values.get("drives", [])
+        if not (isinstance(drives, list) and all(isinstance(drive, str) for drive in drives)):
+            raise ValueError("its drives are no list of names")
+        return values
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{card}: the weights' card cannot be read ({error}); keep it beside the weights") from None
+
+
+def finished_card(path: str | Path) -> dict[str, Any] | None:
+    """The card of weights that are there and are those that it was written with; None of a save that was killed between card and weights.
+
+    Raises:
+        InputError: there are weights without a readable card.
+    """
+    path = Path(path)
+    if not path.exists():
+        return None
+    card = load_card(path)
+    return card if hashlib.sha256(path.read_bytes()).hexdigest() == card.get("sha256") else None
+
+
+def load_weights(path: str | Path, model: nn.Module, prefix: str = "") -> dict[str, Any]:
+    """Fill `model` with released weights, and return their card.
+
+    Args:
+        path: the safetensors file; its card lies beside it.
+        model: takes the tensors whose names begin with `prefix`, without it.
+        prefix: of the part to load, such as `depth_net.`.
+
+    Raises:
+        InputError: the file is missing, truncated, changed since its card was written, or of another network.
+    """
+    path = Path(path)
+    card = load_card(path)
+    try:
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        tensors = load_file(path)
+    except (OSError, SafetensorError) as error:
+        raise InputError(f"{path}: cannot be read as safetensors ({error}); train again or copy it again") from None
+    if digest != card.get("sha256"):
+        raise InputError(
+            f"{path}: sha256 {digest[:12]}… is not the card's {str(card.get('sha256'))[:12]}…; the file was changed, copy it again"
+        )
+    try:
+        model.load_state_dict({name.removeprefix(prefix): t for name, t in tensors.items() if name.startswith(prefix)})
+    except RuntimeError as error:
+        raise InputError(
+            f"{path}: weights of another network ({str(error).splitlines()[1].strip()[:120]}); check the profile's encoder"
+        ) from None
+    return card
