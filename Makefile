@@ -26,13 +26,14 @@ $(STAMP): environment.lock pyproject.toml
 	$(VENV)/bin/python -m pip install --quiet --no-deps --no-build-isolation --editable .
 	touch $@
 
-reproduce: env ## run every notebook of a profile: data, training, tables, figures
-	@dualdepth reproduce --profile "$(PROFILE)" --kitti-root "$(KITTI_ROOT)" --test-list "$(TEST_LIST)" --seeds "$(SEEDS)" \
-	    --odometry-root "$(ODOMETRY_ROOT)" --make3d-root "$(MAKE3D_ROOT)" --labels-root "$(LABELS_ROOT)" $(if $(filter 1,$(ALLOW_LEAK)),--allow-leak)
+REPRODUCE = dualdepth reproduce --profile "$(PROFILE)" --kitti-root "$(KITTI_ROOT)" --test-list "$(TEST_LIST)" --seeds "$(SEEDS)" \
+    --odometry-root "$(ODOMETRY_ROOT)" --make3d-root "$(MAKE3D_ROOT)" --labels-root "$(LABELS_ROOT)" $(if $(filter 1,$(ALLOW_LEAK)),--allow-leak)
 
-status: env ## which steps of a profile are done, stale (and why), missing or running
-	@dualdepth status --profile "$(PROFILE)" --kitti-root "$(KITTI_ROOT)" --test-list "$(TEST_LIST)" --seeds "$(SEEDS)" \
-	    --odometry-root "$(ODOMETRY_ROOT)" --make3d-root "$(MAKE3D_ROOT)" --labels-root "$(LABELS_ROOT)" $(if $(filter 1,$(ALLOW_LEAK)),--allow-leak)
+reproduce: env ## run every notebook of a profile: data, training, tables, figures
+	@$(REPRODUCE)
+
+status: env ## which steps `make reproduce` with the same settings would run, and why
+	@$(REPRODUCE) -- --dry-run | grep -E '^((local)?rule|    (wildcards|reason)|Nothing to be done)'
 
 test: env lint ## lint, unit tests, the tiny chain, notebooks against their stored outputs
 	pytest $(SIDE_BY_SIDE) --dist worksteal

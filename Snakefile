@@ -185,9 +185,8 @@ rule report:
 
 
 onsuccess:
-    print(f"{NAME}: {run_.profile.about}")
     print(f"results of profile {NAME}: {RESULTS}/report.html, tables, figures, notebooks")
 
 
 onerror:
-    print(f"error: the chain stopped, see above; Snakemake's log is {log}", file=sys.stderr)
+    print("error: the chain stopped, see above; the same command goes on there", file=sys.stderr)

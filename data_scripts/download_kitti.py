@@ -7,18 +7,10 @@ Whoever has KITTI needs none of this: give that folder as KITTI_ROOT.
 """
 
 import argparse
-import contextlib
-import json
-import os
-import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-from tqdm import tqdm
-
-from data_scripts.archives import BadArchiveError, unpack
-from data_scripts.fetch import fetch, gigabytes, part_size, remote_size, require_space
+from data_scripts.download import download, run_script
 from data_scripts.sources import (
     CAMERAS,
     IMPROVED_DEPTH,
@@ -26,17 +18,13 @@ from data_scripts.sources import (
     LISTS,
     LISTS_HOME,
     ODOMETRY,
-    Archive,
     drive_archives,
     named_list,
     profile_drives,
 )
-from dualdepth.errors import InputError, exit_on_input_error
-from dualdepth.files import write_json
+from dualdepth.errors import exit_on_input_error
+from dualdepth.files import check_writable
 from dualdepth.profile import load_profile
-
-UNPACKED = 1.25
-"""Unpacked size over archive size, estimated from above (images hardly shrink in a zip, laser scans do); checked exactly later."""
 
 EXAMPLES = """\
 examples:
@@ -51,87 +39,6 @@ examples:
 
 Stop it at any time: the same command goes on from there. The data are for non-commercial use (CC BY-NC-SA 3.0), see cvlibs.net.
 """
-
-
-def progress(**settings: Any) -> tqdm:
-    """A bar on stdout, since stderr is for the one line of an error; a log file gets fewer updates than a terminal."""
-    return tqdm(file=sys.stdout, mininterval=0.5 if sys.stdout.isatty() else 5.0, dynamic_ncols=True, **settings)
-
-
-def unpacked_cameras(archive: Archive, root: Path) -> set[str] | None:
-    """Cameras that earlier runs unpacked of an archive, as its marker tells; None where there is no marker that can be read."""
-    try:
-        return set(json.loads((root / archive.marker).read_text(encoding="utf-8"))["cameras"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
-
-
-def is_complete(archive: Archive, root: Path, cameras: Sequence[str]) -> bool:
-    """Whether the wanted cameras of an archive were unpacked before; asks only the disk."""
-    there = unpacked_cameras(archive, root)
-    return there is not None and (not archive.images or set(cameras) <= there)
-
-
-def plan(archives: list[Archive], root: Path, *, kitti_home: str, keep_archives: bool) -> int:
-    """Ask the sizes, say what is to come, check the disk.
-
-    Returns:
-        The bytes of all the archives.
-
-    Raises:
-        InputError: an archive does not exist, no network, or the disk is too small.
-    """
-    sizes = {}
-    for archive in progress(iterable=archives, desc="asking for sizes", unit="archive", leave=False):
-        sizes[archive.name] = remote_size(kitti_home + archive.address)
-    left = {name: max(0, size - part_size(root / "archives" / name)) for name, size in sizes.items()}
-    total, missing = sum(sizes.values()), sum(left.values())
-    unpacked = UNPACKED * total
-    # Archives that are deleted in turn never lie on the disk together.
-    needed = unpacked + (missing if keep_archives else max(left.values()))
-    here = f" ({gigabytes(total - missing)} of {gigabytes(total)} are here already)" if missing < total else ""
-    print(f"{len(archives)} archives: {gigabytes(missing)} to download{here}, at most {gigabytes(unpacked)} when unpacked", flush=True)
-    require_space(root, needed, "the download")
-    print(f"the disk of {root} has the {gigabytes(needed)} that this takes", flush=True)
-    return total
-
-
-def install(archive: Archive, root: Path, cameras: Sequence[str], *, kitti_home: str, keep_archives: bool, bar: tqdm) -> None:
-    """Download and unpack one archive and write its marker last; a bad archive is deleted, so that the next run gets it anew."""
-    path = root / "archives" / archive.name
-    fetch(kitti_home + archive.address, path, digest=archive.digest, bar=bar)
-    try:
-        with progress(desc=f"unpacking {archive.name}", unit="B", unit_scale=True, leave=False, position=1) as unpacking:
-            unpacked = unpack(path, root / archive.folder, lambda member: archive.place(member, cameras), unpacking)
-    except BadArchiveError as error:
-        path.unlink()
-        raise InputError(f"{error}; the archive is deleted, run again to get it anew") from None
-    there = sorted((unpacked_cameras(archive, root) or set()) | set(cameras))
-    write_json(root / archive.marker, {"archive": archive.address, "cameras": there, "files": unpacked.files, "bytes": unpacked.size})
-    if not keep_archives:
-        path.unlink()
-
-
-def download(
-    archives: list[Archive], root: Path, *, cameras: Sequence[str] = CAMERAS, keep_archives: bool = False, kitti_home: str = KITTI_HOME
-) -> int:
-    """Download and unpack what is not there yet, and return the number of archives that were missing.
-
-    Raises:
-        InputError: no network, no such archive, a damaged one, or a disk that is too small.
-    """
-    pending = [archive for archive in archives if not is_complete(archive, root, cameras)]
-    if not pending:
-        return 0
-    total = plan(pending, root, kitti_home=kitti_home, keep_archives=keep_archives)
-    begun = sum(part_size(root / "archives" / archive.name) for archive in pending)
-    with progress(total=total, initial=begun, unit="B", unit_scale=True) as bar:
-        for number, archive in enumerate(pending, 1):
-            bar.set_description(f"{number}/{len(pending)} {archive.name}")
-            install(archive, root, cameras, kitti_home=kitti_home, keep_archives=keep_archives, bar=bar)
-    with contextlib.suppress(OSError):  # not empty: archives that were to be kept
-        (root / "archives").rmdir()
-    return len(pending)
 
 
 def arguments_of(argv: Sequence[str] | None) -> argparse.Namespace:
@@ -180,7 +87,7 @@ def main(argv: Sequence[str] | None = None, *, kitti_home: str = KITTI_HOME, lis
             return 0
         archives = drive_archives(drives) + (list(ODOMETRY) if arguments.odometry else [])
         archives += [IMPROVED_DEPTH] if arguments.improved_depth else []
-        fetched = download(archives, root, cameras=arguments.cameras, keep_archives=arguments.keep_archives, kitti_home=kitti_home)
+        fetched = download(archives, root, kitti_home, cameras=arguments.cameras, keep_archives=arguments.keep_archives)
         print(f"{len(archives)} archives unpacked, {fetched} of them now")
         if drives:
             print(f"KITTI_ROOT={root}")
@@ -191,16 +98,5 @@ def main(argv: Sequence[str] | None = None, *, kitti_home: str = KITTI_HOME, lis
     return 0
 
 
-def check_writable(root: Path) -> None:
-    """Check that the folder to fill can be made and written, without making it."""
-    existing = next(folder for folder in (root.absolute(), *root.absolute().parents) if folder.exists())
-    if not existing.is_dir() or not os.access(existing, os.W_OK):
-        raise InputError(f"{root}: {existing} is not a folder that can be written; give --root a folder of your own")
-
-
 if __name__ == "__main__":
-    try:
-        sys.exit(main())
-    except KeyboardInterrupt:
-        print("stopped; run the same command again to go on", file=sys.stderr)
-        sys.exit(130)
+    run_script(main)

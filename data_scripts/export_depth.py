@@ -17,7 +17,7 @@ from tqdm import tqdm
 from dualdepth.data.depth_maps import save_ground_truth
 from dualdepth.data.kitti import Frame, check_root, read_frame_list, velodyne_path
 from dualdepth.data.lidar import ground_truth, improved_ground_truth, improved_path
-from dualdepth.errors import InputError, exit_on_input_error
+from dualdepth.errors import InputError, exit_on_input_error, reading
 
 
 def present_frames(paths: dict[int, Path | None], frames: list[Frame], allow_missing: bool) -> list[int]:
@@ -66,10 +66,8 @@ def export_frames(
         # a bar in a pipe would break the one-line error
         for number in tqdm(present, "ground truth", unit="frame", disable=None):
             frame = frames[number]
-            try:
+            with reading(root / str(frame), "change its permissions"):  # an error of the system, else told as one of writing
                 depth = improved_ground_truth(root, frame) if improved else ground_truth(root, frame, camera_z=camera_z)
-            except OSError as error:  # else told as one of writing
-                raise InputError(f"{error.filename}: cannot be read ({error.strerror})") from None
             yield depth
 
     return save_ground_truth(out, maps(), (f"{number:06d}" for number in present))

@@ -7,6 +7,7 @@ One 8-bit PNG of the image's size an image, `<drive>/<frame>.png`, and `labels.j
 
 import argparse
 import hashlib
+import json
 import re
 import sys
 from collections.abc import Iterator, Sequence
@@ -21,6 +22,7 @@ from tqdm import tqdm
 from data_scripts.export_depth import present_frames
 from dualdepth.data.kitti import check_root, image_path, read_frame_list, read_image
 from dualdepth.data.label_maps import CITYSCAPES, label_path
+from dualdepth.device import choose_device, default_device
 from dualdepth.errors import InputError, exit_on_input_error
 from dualdepth.files import atomic_path, file_digest, write_json
 
@@ -41,11 +43,11 @@ class Segmenter(NamedTuple):
     """For `labels.json`: model, revision, sha256 of its weights as loaded, versions."""
 
 
-def load_segmenter(name: str, *, revision: str = "main", device: str = "cpu", allow_pickle: bool = False) -> Segmenter:
+def load_segmenter(model: str, *, revision: str, device: str | None, allow_pickle: bool) -> Segmenter:
     """Load a model by hub name or local folder.
 
     Raises:
-        InputError: it cannot be had or lacks weights, or its classes are not Cityscapes' 19 in the training ids' order.
+        InputError: it or the device cannot be had, it lacks weights, or its classes are not Cityscapes' 19 in the training ids' order.
     """
     import pickle
 
@@ -55,26 +57,21 @@ def load_segmenter(name: str, *, revision: str = "main", device: str = "cpu", al
 
     transformers.utils.logging.set_verbosity_error()
     transformers.utils.logging.disable_progress_bar()  # a bar in a pipe would break the one-line error
-    shared = {"revision": revision, "trust_remote_code": False}
+    place, shared = choose_device(device or default_device()), {"revision": revision, "trust_remote_code": False}
     try:
-        config = AutoConfig.from_pretrained(name, **shared)
-        check_classes(name, config.id2label)
-        processor = AutoImageProcessor.from_pretrained(name, backend="pil", **shared)
-        model, loading = AutoModelForSemanticSegmentation.from_pretrained(
-            name, use_safetensors=None if allow_pickle else True, dtype="float32", output_loading_info=True, **shared
+        config = AutoConfig.from_pretrained(model, **shared)
+        check_classes(model, config.id2label)
+        processor = AutoImageProcessor.from_pretrained(model, backend="pil", **shared)
+        network, loading = AutoModelForSemanticSegmentation.from_pretrained(
+            model, use_safetensors=None if allow_pickle else True, dtype="float32", output_loading_info=True, **shared
         )
     except (OSError, ValueError, KeyError, RuntimeError, ImportError, SafetensorError, pickle.UnpicklingError) as error:
         mend = "" if allow_pickle else "; weights must be safetensors unless --allow-pickle is given"
-        raise InputError(f"{name}: not a usable segmentation model ({_first_line(error)}){mend}") from None
+        raise InputError(f"{model}: not a usable segmentation model ({_first_line(error)}){mend}") from None
     if loading["missing_keys"]:
-        raise InputError(f"{name}: has no weights for {sorted(loading['missing_keys'])[0]}; give a model trained on Cityscapes")
-    facts = {
-        "model": name,
-        "revision": getattr(config, "_commit_hash", None),
-        "weights_sha256": weights_digest(model),
-        "transformers": transformers.__version__,
-    }
-    return Segmenter(model.eval().to(device), processor, facts)
+        raise InputError(f"{model}: has no weights for {sorted(loading['missing_keys'])[0]}; give a model trained on Cityscapes")
+    versions = {"revision": getattr(config, "_commit_hash", None), "transformers": transformers.__version__}
+    return Segmenter(network.eval().to(place), processor, {"model": model, "weights_sha256": weights_digest(network), **versions})
 
 
 def check_classes(name: str, id2label: dict[int, str]) -> None:
@@ -171,8 +168,6 @@ def check_maker(out: Path, facts: dict[str, Any]) -> None:
     Raises:
         InputError: naming what made those that are there.
     """
-    import json
-
     if not any(out.glob("*/*.png")):
         return
     try:
@@ -186,19 +181,11 @@ def check_maker(out: Path, facts: dict[str, Any]) -> None:
 
 
 def export(
-    kitti: str | Path,
-    frame_list: str | Path,
-    out: str | Path,
-    *,
-    model: str = MODEL,
-    revision: str = "main",
-    size: Size = None,
-    device: str = "cpu",
-    batch_size: int = 4,
-    allow_missing: bool = False,
-    allow_pickle: bool = False,
+    kitti: str | Path, frame_list: str | Path, out: str | Path, *, size: Size, batch_size: int, allow_missing: bool, **model: Any
 ) -> tuple[int, int]:
-    """Write the label maps of `frame_list` below `out`; maps of the same model that are there stay. Arguments as on the command line.
+    """Write the label maps of `frame_list` below `out`; maps of the same model that are there stay.
+
+    Arguments are those of the command line; `model` are `load_segmenter`'s.
 
     Returns:
         The numbers of maps written and of those that were there.
@@ -208,7 +195,7 @@ def export(
     """
     out = Path(out)
     images = wanted_maps(kitti, frame_list, out, allow_missing)
-    segmenter = load_segmenter(model, revision=revision, device=device, allow_pickle=allow_pickle)
+    segmenter = load_segmenter(**model)
     facts = segmenter.facts | {"size": list(size) if size else "the images' own", "list_sha256": file_digest(Path(frame_list))}
     check_maker(out, facts)
     wanted = {path: image for path, image in images.items() if not path.is_file()}
@@ -240,16 +227,14 @@ def main(argv: list[str] | None = None) -> int:
     """
     parser = argparse.ArgumentParser(description="Write Cityscapes label maps of KITTI raw images with a pretrained segmentation model.")
     parser.add_argument("--kitti", required=True, metavar="ROOT", help="folder that holds 2011_09_26, 2011_09_28, …")
-    parser.add_argument("--list", required=True, metavar="FILE", help="lines like `2011_09_26/2011_09_26_drive_0052_sync 0000000000 l`")
+    parser.add_argument(
+        "--list", dest="frame_list", required=True, metavar="FILE", help="lines like `2011_09_26/2011_09_26_drive_0052_sync 0000000000 l`"
+    )
     parser.add_argument("--out", required=True, metavar="LABELS_ROOT", help="folder to write to")
     parser.add_argument("--model", default=MODEL, help="hub name or local folder of a semantic-segmentation model (default: %(default)s)")
     parser.add_argument("--revision", default="main", help="branch, tag or commit of the model on the hub (default: %(default)s)")
-    parser.add_argument(
-        "--size",
-        type=height_width,
-        metavar="HxW",
-        help="resize images for the model (default: their own size, so that nothing is stretched)",
-    )
+    size = "resize images for the model (default: their own size, so that nothing is stretched)"
+    parser.add_argument("--size", type=height_width, metavar="HxW", help=size)
     parser.add_argument("--device", help="cpu, cuda, cuda:1, … (default: cuda where there is one)")
     parser.add_argument("--batch-size", type=int, default=4, metavar="N", help="images at once (default: %(default)s)")
     parser.add_argument("--allow-missing", action="store_true", help="leave out frames whose image is missing; else they are an error")
@@ -258,36 +243,9 @@ def main(argv: list[str] | None = None) -> int:
     with exit_on_input_error():
         if arguments.batch_size < 1:
             raise InputError(f"--batch-size {arguments.batch_size}: must be 1 or more")
-        written, there = export(
-            arguments.kitti,
-            arguments.list,
-            arguments.out,
-            model=arguments.model,
-            revision=arguments.revision,
-            size=arguments.size,
-            device=usable_device(arguments.device),
-            batch_size=arguments.batch_size,
-            allow_missing=arguments.allow_missing,
-            allow_pickle=arguments.allow_pickle,
-        )
+        written, there = export(**vars(arguments))
         print(f"{arguments.out}: {written} label maps written" + f", {there} were there" * bool(there))
     return 0
-
-
-def usable_device(name: str | None) -> str:
-    """The device, checked; without a name CUDA's first or the CPU.
-
-    Raises:
-        InputError: there is no such device.
-    """
-    import torch
-
-    name = name or ("cuda" if torch.cuda.is_available() else "cpu")
-    try:
-        torch.empty(1, device=name)
-    except (RuntimeError, AssertionError) as error:
-        raise InputError(f"--device {name}: not usable ({_first_line(error)}); give cpu or cuda") from None
-    return name
 
 
 def _first_line(error: Exception) -> str:

@@ -16,7 +16,7 @@ import urllib.parse
 import urllib.request
 from collections.abc import Callable
 from pathlib import Path
-from typing import NoReturn, TypeVar
+from typing import TypeVar
 
 from tqdm import tqdm
 
@@ -80,14 +80,13 @@ def fetch(address: str, path: str | Path, *, digest: str | None = None, bar: tqd
     if path.exists():
         _verify(path, digest, f"it differs from {address}; delete it to have it downloaded again")
         return path
-    partial, mark = part_of(path), path.with_name(f"{path.name}.part.etag")
+    partial, mark = path.with_name(f"{path.name}.part"), path.with_name(f"{path.name}.part.etag")
     try:
         _with_retries(lambda: _transfer(address, partial, mark, bar), address, if_offline, lambda: part_size(path))
         _verify(partial, digest, "the download is deleted; run again")
         partial.replace(path)
     except ChecksumError:
-        partial.unlink(missing_ok=True)
-        mark.unlink(missing_ok=True)
+        _discard(partial, mark, bar)
         raise
     except OSError as error:
         raise disk_error(path, error) from None
@@ -95,17 +94,10 @@ def fetch(address: str, path: str | Path, *, digest: str | None = None, bar: tqd
     return path
 
 
-def part_of(path: Path) -> Path:
-    """Where the unfinished download of `path` grows."""
-    return path.with_name(f"{path.name}.part")
-
-
 def part_size(path: Path) -> int:
     """Bytes of `path` that are on disk already, whole or in part."""
-    for candidate in (path, part_of(path)):
-        if candidate.exists():
-            return candidate.stat().st_size
-    return 0
+    there = [file for file in (path, path.with_name(f"{path.name}.part")) if file.exists()]
+    return there[0].stat().st_size if there else 0
 
 
 def require_space(folder: Path, needed: float, what: str) -> None:
@@ -175,16 +167,16 @@ def _transfer(address: str, partial: Path, mark: Path, bar: tqdm | None) -> None
         if error.code == 416 and error.headers["Content-Range"] == f"bytes */{have}":
             return  # nothing lies beyond what we have: an earlier run was stopped just before the end
         if error.code == 416:
-            _discard(partial, mark, have, bar)
+            _discard(partial, mark, bar)
         raise
     with response:
         if response.status == 206:
             begins = (response.headers["Content-Range"] or "").startswith(f"bytes {have}-")
             if not begins or _version(response) not in ("", version):  # a 206 need not repeat the date
-                _discard(partial, mark, have, bar)
+                _discard(partial, mark, bar)
                 raise ConnectionError("the server answered with another part of the file than asked for")
         else:
-            _discard(partial, mark, have, bar)
+            _discard(partial, mark, bar)
             have = 0
             partial.parent.mkdir(parents=True, exist_ok=True)
             if _version(response):
@@ -207,11 +199,12 @@ def _read(response: http.client.HTTPResponse) -> bytes:
         raise ConnectionError(str(error)) from None
 
 
-def _discard(partial: Path, mark: Path, have: int, bar: tqdm | None) -> None:
+def _discard(partial: Path, mark: Path, bar: tqdm | None) -> None:
+    """Remove what came so far, to start over."""
+    if bar is not None and partial.exists():
+        bar.update(-partial.stat().st_size)
     partial.unlink(missing_ok=True)
     mark.unlink(missing_ok=True)
-    if bar is not None and have:
-        bar.update(-have)
 
 
 def _version(response: http.client.HTTPResponse) -> str:
@@ -221,29 +214,29 @@ def _version(response: http.client.HTTPResponse) -> str:
 
 
 def _with_retries(action: Callable[[], Result], address: str, if_offline: str, progress: Callable[[], int] = lambda: 0) -> Result:
-    """The result of `action`, tried again with growing pauses while connections break; bytes that came reset the count."""
+    """The result of `action`, tried again with growing pauses while connections break; bytes that came reset the count.
+
+    Raises:
+        InputError: it breaks too often, or cannot be mended by waiting.
+    """
     failures, before = 0, progress()
     while True:
         try:
             return action()
         except BROKEN as error:
-            failures = 1 if progress() > before else failures + 1
-            before = progress()
-            reason = getattr(error, "reason", error)
+            failures, before = 1 if progress() > before else failures + 1, progress()
+            reason, host = getattr(error, "reason", error), urllib.parse.urlsplit(address).netloc
             patience = len(PAUSES)
             if isinstance(reason, ssl.SSLCertVerificationError):
                 patience = 0
             elif isinstance(reason, socket.gaierror) and not before:
                 patience = 1  # without a network at all nobody wants to wait
-            if failures > patience:
-                _give_up(address, error, reason, progress(), if_offline)
-            time.sleep(PAUSES[failures - 1])
-
-
-def _give_up(address: str, error: Exception, reason: object, received: int, if_offline: str) -> NoReturn:
-    host = urllib.parse.urlsplit(address).netloc
-    if isinstance(error, urllib.error.HTTPError):
-        raise InputError(f"{address}: the server fails (HTTP {error.code}); try again later") from None
-    if isinstance(error, urllib.error.URLError):
-        raise InputError(f"no network: {host} cannot be reached ({reason}); {if_offline}") from None
-    raise InputError(f"{address}: the connection keeps breaking ({error}); run again, it goes on after {gigabytes(received)}") from None
+            if failures <= patience:
+                time.sleep(PAUSES[failures - 1])
+            elif isinstance(error, urllib.error.HTTPError):
+                raise InputError(f"{address}: the server fails (HTTP {error.code}); try again later") from None
+            elif isinstance(error, urllib.error.URLError):
+                raise InputError(f"no network: {host} cannot be reached ({reason}); {if_offline}") from None
+            else:
+                mend = f"run again, it goes on after {gigabytes(before)}"
+                raise InputError(f"{address}: the connection keeps breaking ({error}); {mend}") from None

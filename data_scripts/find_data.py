@@ -2,9 +2,10 @@
 
 from pathlib import Path
 
-from data_scripts import download_kitti, make_miniature
+from data_scripts import make_miniature
+from data_scripts.download import download
 from data_scripts.own.dataset import read_record
-from data_scripts.sources import drive_archives, named_list
+from data_scripts.sources import KITTI_HOME, drive_archives, named_list
 from dualdepth.data.kitti import check_root, numbered_lines, read_frame_list
 from dualdepth.errors import InputError
 from dualdepth.run import RECORD, Run, Sources, check_roots
@@ -106,7 +107,7 @@ def kitti_sources(run: Run, kitti_root: str, test_list: str) -> Sources:
         needed = {frame.drive for path in (scored, train_list) if path for frame in read_frame_list(path)}
         needed |= {drive.partition(":")[0] for drive in data.train_drives}
         cameras = {"image_02", "image_03", *data.cameras, *(d.partition(":")[2] for d in data.train_drives if ":" in d)}
-        download_kitti.download(drive_archives(sorted(needed)), home, cameras=sorted(cameras))
+        download(drive_archives(sorted(needed)), home, KITTI_HOME, cameras=sorted(cameras))
     return Sources(
         kitti_root=check_root(kitti_root or home).resolve(),
         test_list=scored.resolve(),

@@ -6,8 +6,10 @@ Every frame is decoded once, so that a broken one is known before a training beg
 """
 
 import argparse
+import itertools
 import os
 import sys
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -31,7 +33,7 @@ from dualdepth.data.kitti import (
 )
 from dualdepth.data.label_maps import label_path
 from dualdepth.data.odometry import check_odometry_root, frame_files, poses_path, sequence_of, write_odometry_index
-from dualdepth.data.triplets import drive_triplets, missing_files_error, missing_neighbours, write_targets
+from dualdepth.data.triplets import drive_triplets, missing_files_error, missing_neighbours, triplet_paths, with_suffix, write_targets
 from dualdepth.errors import InputError, exit_on_input_error
 from dualdepth.files import file_digest, write_json
 from dualdepth.run import RECORD, ROOTS, Run, Sources, add_roots
@@ -53,58 +55,67 @@ def prepare(run: Run) -> Prepared:
     """Write `work/<profile>/prepared`: triplets.csv, test_frames.json, ground_truth.npz, from training frames baseline_truth.npz, and
     odometry.csv where odometry is trained.
 
-    Triplets with a frame that cannot be decoded are left out, and all such frames are named in one message.
+    Every frame is decoded once. Triplets with a broken one are left out, and all broken frames are named in one message.
 
     Raises:
         InputError: files are missing (all in one message), a frame to score is broken, a drive is both trained on and scored, or no triplet
             is left.
     """
     sources = Sources.load(run)
-    targets = training_targets(run, sources)
+    root, targets = sources.kitti_root, training_targets(run, sources)
     scored, listed = test_frames(run, sources)
     check_labels(sources, scored)
     check_separate({f.drive for f in targets}, {f.drive for f in scored}, "drives", sources.allow_leak)
     sequences = odometry_sequences(run, sources)
-    triplets = [triplet_paths(sources.kitti_root, target) for target in targets]
+    triplets = [triplet_paths(root, target, suffix) for target, suffix in with_suffix(root, targets)]
     films = [path for entry in sequences for path in frame_files(sources.odometry_root, entry).values()]
-    shown = [path for frame in scored if (path := image_path(sources.kitti_root, frame))]
-    broken = broken_frames([*(path for triplet in triplets for path in triplet), *films, *shown])
+    shown = [path for frame in scored if (path := image_path(root, frame))]
+    broken = broken_frames([*itertools.chain(*triplets), *films], shown)
     tell_broken(broken, shown)
-    whole = [target for target, triplet in zip(targets, triplets) if not broken.keys() & set(triplet)]
+    whole = [target for target, paths in zip(targets, triplets) if broken.keys().isdisjoint(paths)]
     if not whole:
-        raise InputError(f"{sources.kitti_root}: none of {len(targets)} triplets can be read; copy or download their frames again")
+        raise InputError(f"{root}: all {len(targets)} triplets have broken frames; copy or download them again")
     fitted = laser_frames(sources, whole, run.profile.data.baseline_frames)
-    write_targets(run.prepared / "triplets.csv", sources.kitti_root, whole)
+    write_targets(run.prepared / "triplets.csv", root, whole)
     write_identity(run, sources, whole)
     if run.profile.data.has_truth:
-        export_frames(scored, run.prepared / "ground_truth.npz", kitti=sources.kitti_root)
+        export_frames(scored, run.prepared / "ground_truth.npz", kitti=root)
     else:
-        write_no_truth(run, sources, scored)
+        write_no_truth(run, shown)
     (run.prepared / "baseline_truth.npz").unlink(missing_ok=True)
     if fitted:
-        export_frames(fitted, run.prepared / "baseline_truth.npz", kitti=sources.kitti_root)
+        export_frames(fitted, run.prepared / "baseline_truth.npz", kitti=root)
     write_json(run.prepared / "test_frames.json", {"listed": listed, "frames": [list(frame) for frame in scored]})
-    path = run.prepared / "odometry.csv"
-    path.unlink(missing_ok=True)
-    odometry = write_odometry_index(path, sources.odometry_root, sequences, broken) if sequences else 0
+    index = run.prepared / "odometry.csv"
+    index.unlink(missing_ok=True)
+    odometry = write_odometry_index(index, sources.odometry_root, sequences, broken) if sequences else 0
     return Prepared(len(whole), len(scored), listed, len(fitted), odometry)
 
 
-def broken_frames(paths: Iterable[Path]) -> dict[Path, str]:
-    """Why, of the images that cannot be decoded; each is decoded once, side by side."""
-    paths = list(dict.fromkeys(paths))
+def broken_frames(trained: Sequence[Path], scored: Sequence[Path]) -> dict[Path, str]:
+    """Why, of the image files that cannot be used: they cannot be decoded, or, to train on, are of another size than most of their folder.
 
-    def trouble(path: Path) -> str | None:
+    Each is decoded once, several at a time.
+    """
+    paths = list(dict.fromkeys([*trained, *scored]))
+
+    def look(path: Path) -> tuple[int, ...] | str:
         try:
-            read_image(path)
+            return read_image(path).shape
         except InputError as error:
             return str(error)
-        return None
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         # a bar in a pipe would break the one-line error; of many frames it is worth it
-        found = tqdm(pool.map(trouble, paths), "decoding", len(paths), unit="frame", disable=None if len(paths) < 2000 else False)
-        return {path: why for path, why in zip(paths, found) if why}
+        bar = tqdm(pool.map(look, paths), "decoding", len(paths), unit="frame", disable=None if len(paths) < 2000 else False)
+        found = dict(zip(paths, bar))
+    broken = {path: why for path, why in found.items() if isinstance(why, str)}
+    for _, folder in itertools.groupby(sorted(set(trained) - broken.keys()), key=lambda path: path.parent):
+        sizes = {path: found[path] for path in folder}
+        usual = Counter(sizes.values()).most_common(1)[0][0]
+        words = f"pixels, most of its folder {usual[1]}×{usual[0]}; put one camera's frames in a folder"
+        broken |= {path: f"{path}: has {size[1]}×{size[0]} {words}" for path, size in sizes.items() if size != usual}
+    return broken
 
 
 def tell_broken(broken: dict[Path, str], scored: Sequence[Path]) -> None:
@@ -114,16 +125,10 @@ def tell_broken(broken: dict[Path, str], scored: Sequence[Path]) -> None:
         InputError: one of them is to be scored.
     """
     named = "; ".join(broken.values())
-    if to_score := [path for path in scored if path in broken]:
-        raise InputError(f"{len(to_score)} frames to score cannot be decoded, and {len(broken) - len(to_score)} others: {named}")
+    if to_score := len(broken.keys() & set(scored)):
+        raise InputError(f"{to_score} frames to score are broken, and {len(broken) - to_score} others: {named}")
     if broken:
-        print(f"{len(broken)} frames cannot be decoded and are left out with their triplets: {named}")
-
-
-def triplet_paths(root: Path, target: Frame) -> list[Path]:
-    """Image files of a target and its neighbours."""
-    frames = [target._replace(index=target.index + offset) for offset in (0, -1, 1)]
-    return [path for frame in frames if (path := image_path(root, frame))]
+        print(f"{len(broken)} frames are broken and left out with their triplets: {named}")
 
 
 def training_targets(run: Run, sources: Sources) -> list[Frame]:
@@ -178,9 +183,8 @@ def write_identity(run: Run, sources: Sources, targets: Sequence[Frame]) -> Path
     return path
 
 
-def write_no_truth(run: Run, sources: Sources, scored: Sequence[Frame]) -> None:
-    """Write `prepared/ground_truth.npz` of an own camera: maps of the frames' sizes without a measurement (0) in them."""
-    images = [path for frame in scored if (path := image_path(sources.kitti_root, frame))]
+def write_no_truth(run: Run, images: Iterable[Path]) -> None:
+    """Write `prepared/ground_truth.npz` of an own camera: maps of the images' sizes without a measurement (0) in them."""
     save_ground_truth(run.prepared / "ground_truth.npz", (np.zeros(read_image(path).shape[:2], np.float32) for path in images))
 
 

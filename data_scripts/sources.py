@@ -6,6 +6,7 @@ Make3D: A. Saxena, M. Sun, A. Y. Ng, "Make3D: Learning 3D Scene Structure from a
 (make3d.cs.cornell.edu/data.html).
 """
 
+import contextlib
 import fnmatch
 import re
 from collections.abc import Sequence
@@ -75,30 +76,31 @@ def named_list(name: str, cache_dir: str | Path, home: str = LISTS_HOME) -> Path
     if name not in LISTS:
         raise InputError(f"list {name!r} is not known; choose one of {', '.join([*LISTS, *DERIVED])} or give the path of a file")
     entry = LISTS[name]
-    for number, revision in enumerate(entry.homes, 1):
-        address = f"{home}{revision}/{entry.path}"
-        try:
-            return fetch(address, path, digest=f"sha256:{entry.sha256}", if_offline=f"else put the list at {path} yourself")
-        except NotThereError:
-            if number == len(entry.homes):
-                raise
-    raise AssertionError("every list has a home")
+    *others, last = (f"{home}{revision}/{entry.path}" for revision in entry.homes)
+    settings = {"digest": f"sha256:{entry.sha256}", "if_offline": f"else put the list at {path} yourself"}
+    for address in others:
+        with contextlib.suppress(NotThereError):
+            return fetch(address, path, **settings)
+    return fetch(last, path, **settings)
 
 
 class Archive(NamedTuple):
-    """One of KITTI's zip archives."""
+    """A zip of KITTI's, or a gzipped tar of Make3D's."""
 
     address: str
-    """Relative to `KITTI_HOME`."""
+    """Relative to the data set's home."""
     marker: str
     """File below the root that is written last, and says that the archive is unpacked."""
     folder: str = ""
     """Folder below the root to unpack in."""
     strip: str = ""
     """Leading folder of the members that is dropped."""
-    images: bool = True
+    pattern: str = ""
+    """Of the file names that alone are kept, whatever folders the archive nests them in."""
+    images: bool = False
     """Whether it holds cameras that can be chosen from."""
     digest: str | None = None
+    """`method:hex`, where one is published."""
 
     @property
     def name(self) -> str:
@@ -106,7 +108,10 @@ class Archive(NamedTuple):
         return self.address.rsplit("/", 1)[-1]
 
     def place(self, member: str, cameras: Sequence[str]) -> str | None:
-        """Path below `folder` of a member, or None for a camera that is not wanted (odometry's `image_2` is raw's `image_02`)."""
+        """Path below `folder` of a member, or None for what is not wanted (odometry's camera `image_2` is raw's `image_02`)."""
+        if self.pattern:
+            name = member.rsplit("/", 1)[-1]
+            return name if fnmatch.fnmatchcase(name, self.pattern) else None
         camera = re.search(r"(?:^|/)image_0?([0-3])/", member)
         if camera and f"image_0{camera[1]}" not in cameras:
             return None
@@ -114,41 +119,19 @@ class Archive(NamedTuple):
 
 
 ODOMETRY = tuple(
-    Archive(f"data_odometry_{part}.zip", f"odometry/.data_odometry_{part}.complete.json", "odometry", "dataset/", part == "color")
+    Archive(f"data_odometry_{part}.zip", f"odometry/.data_odometry_{part}.complete.json", "odometry", "dataset/", images=part == "color")
     for part in ("poses", "calib", "color")
 )
 IMPROVED_DEPTH = Archive(
     "data_depth_annotated.zip",
     "depth_annotated/.data_depth_annotated.complete.json",
     "depth_annotated",
+    images=True,
     digest="md5:7d1ce32633dc2f43d9d1656a1f875e47",
 )
-
-
-class PhotoArchive(NamedTuple):
-    """One of the two archives of Make3D's test set (gzipped tar; no checksum of it is published)."""
-
-    name: str
-    """File name, and address relative to `MAKE3D_HOME`."""
-    folder: str
-    """Folder below the root that its files go to, however the archive nests them."""
-    members: str
-    """Pattern of the file names that are kept."""
-
-    @property
-    def marker(self) -> str:
-        """File below the root that is written last, and says that the archive is unpacked and whole."""
-        return f"{self.folder}/.complete.json"
-
-    def place(self, member: str) -> str | None:
-        """Path below the root of a member, or None for what is neither photo nor grid."""
-        name = member.rsplit("/", 1)[-1]
-        return f"{self.folder}/{name}" if fnmatch.fnmatchcase(name, self.members) else None
-
-
-MAKE3D = (
-    PhotoArchive("Test134.tar.gz", "Test134", "img-*.jpg"),
-    PhotoArchive("Test134Depth.tar.gz", "Gridlaserdata", "depth_sph_corr-*.mat"),
+MAKE3D = (  # no checksum of them is published
+    Archive("Test134.tar.gz", "Test134/.complete.json", "Test134", pattern="img-*.jpg"),
+    Archive("Test134Depth.tar.gz", "Gridlaserdata/.complete.json", "Gridlaserdata", pattern="depth_sph_corr-*.mat"),
 )
 
 
@@ -171,8 +154,8 @@ def drive_archives(drives: Sequence[str]) -> list[Archive]:
     for date in DATES:
         of_day = sorted(name for name in names if name.startswith(date))
         if of_day:
-            archives.append(Archive(f"raw_data/{date}_calib.zip", f"{date}/.calib.complete.json", images=False))
-        archives += [Archive(f"raw_data/{name}/{name}_sync.zip", f"{date}/{name}_sync/.complete.json") for name in of_day]
+            archives.append(Archive(f"raw_data/{date}_calib.zip", f"{date}/.calib.complete.json"))
+        archives += [Archive(f"raw_data/{name}/{name}_sync.zip", f"{date}/{name}_sync/.complete.json", images=True) for name in of_day]
     return archives
 
 
@@ -187,10 +170,8 @@ def profile_drives(profile: Profile, cache_dir: str | Path, home: str = LISTS_HO
     data = profile.data
     if data.source != "kitti":
         raise InputError(f"profile {profile.name} makes its own data: there is nothing to download; choose sample or paper")
-    drives = set(data.train_drives)
-    for name in (data.train_list, data.test_list):
-        if name is None:
-            continue
+    drives = {drive.partition(":")[0] for drive in data.train_drives}
+    for name in filter(None, (data.train_list, data.test_list)):
         parts = [part for part in (name, f"{name}_train", f"{name}_val") if part in LISTS or part in DERIVED]
         for path in [named_list(part, cache_dir, home) for part in parts] or [Path(name)]:
             drives.update(frame.drive for frame in read_frame_list(path))

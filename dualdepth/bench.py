@@ -7,6 +7,7 @@ import statistics
 import sys
 import tempfile
 import time
+import timeit
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
@@ -26,24 +27,14 @@ from dualdepth.device import Precision, device_name, has_bf16, keep_freed_memory
 from dualdepth.evaluation.cost import latency
 from dualdepth.files import write_text
 from dualdepth.networks.architecture import Architecture
+from dualdepth.networks.depth_nets import LRNet
 from dualdepth.networks.pose_net import PoseNet
-from dualdepth.profile import Profile, load_profile
+from dualdepth.profile import load_profile
+from dualdepth.settings import Training
 from dualdepth.training.stages import Stage
 
 RAW_SIZE = (375, 1242)
 """KITTI's frames, (height, width)."""
-
-
-def median_seconds(action: Callable[[], Any], repeats: int, warmup: int = 1) -> float:
-    """Median wall time of `action`, after some calls that do not count."""
-    times = []
-    for _ in range(warmup + repeats):
-        began = time.perf_counter()
-        action()
-        if torch.cuda.is_available():
-            torch.cuda.synchronize()
-        times.append(time.perf_counter() - began)
-    return statistics.median(times[warmup:])
 
 
 def write_frames(folder: Path) -> Triplet:
@@ -63,23 +54,24 @@ def make_net(name: str) -> nn.Module:
     return (Architecture(network="dual", encoder="resnet50") if name == "dual" else Architecture(network="single", encoder=name)).build()
 
 
-def make_stage(name: str, profile: Profile) -> nn.Module:
-    """A stage with new weights: `lr` with the profile's encoder, or stage 2 of a network for high resolution."""
-    return Stage(profile) if name == "lr" else Stage(profile, make_net(name), PoseNet())
+def make_stage(name: str, training: Training) -> Stage:
+    """A stage with new weights: `lr` with the settings' encoder, or stage 2 of a network for high resolution."""
+    low = name == "lr"
+    return Stage(LRNet(training.encoder) if low else make_net(name), PoseNet(), training, low=low)
 
 
 class StepTimer:
     """Times the parts of a training step of a stage: networks, losses, backward, optimiser."""
 
-    def __init__(self, name: str, profile: Profile, device: torch.device) -> None:
+    def __init__(self, name: str, training: Training, device: torch.device) -> None:
         keep_freed_memory()  # as a training does
         torch.manual_seed(0)
-        self.stage = make_stage(name, profile).to(device)
-        if profile.training.channels_last:
+        self.stage = make_stage(name, training).to(device)
+        if training.channels_last:
             self.stage = self.stage.to(memory_format=torch.channels_last)
         self.stage.train()
         self.optimizer = torch.optim.Adam([p for p in self.stage.parameters() if p.requires_grad], 1e-4)
-        self.device, self.bf16 = device, profile.training.precision == "bf16"
+        self.device, self.bf16 = device, training.precision == "bf16"
         self.networks = 0.0
         for net in (self.stage.depth_net, self.stage.pose_net):
             net.register_forward_pre_hook(lambda *_: self._mark(-1))
@@ -109,9 +101,9 @@ class StepTimer:
         return parts | {"backward": backward - forward, "optimiser": done - backward, "step": done - began}
 
 
-def median_step(name: str, profile: Profile, batch: dict[str, Any], device: torch.device, repeats: int) -> dict[str, float]:
+def median_step(name: str, training: Training, batch: dict[str, Any], device: torch.device, repeats: int) -> dict[str, float]:
     """Median seconds of a step's parts, and `peak_mb`: the GPU's peak in 10⁶ bytes, or the process's, which should then be a fresh one."""
-    timer = StepTimer(name, profile, device)
+    timer = StepTimer(name, training, device)
     rows = [timer.step(batch) for _ in range(repeats + 2)][2:]
     peak = torch.cuda.max_memory_allocated() if device.type == "cuda" else resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     return {part: statistics.median(row[part] for row in rows) for part in rows[0]} | {"peak_mb": peak / 1e6}
@@ -126,15 +118,14 @@ def alone(function: Callable[..., Any], *arguments: Any) -> Any:
 def bench(encoder: str, repeats: int) -> pd.DataFrame:
     """All measurements: columns what, value, unit."""
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    base = load_profile("paper")
+    profile = load_profile("paper")
     precisions: list[Precision] = ["bf16", "float32"] if has_bf16(device) else ["float32"]
-    training = base.training.model_copy(update={"encoder": encoder, "pretrained": False, "precision": precisions[0]})
-    profile = base.model_copy(update={"training": training})
+    training = profile.training.model_copy(update={"encoder": encoder, "precision": precisions[0]})
     rows: list[tuple[str, float, str]] = []
-    with tempfile.TemporaryDirectory() as folder, tqdm(total=7 + len(precisions), desc="measuring", unit="part") as bar:
+    with tempfile.TemporaryDirectory() as folder, tqdm(total=5 + len(precisions), desc="measuring", unit="part") as bar:
         dataset = TripletDataset([write_frames(Path(folder))], profile.data.hr_size, training.augmentation, 0)
         cv2.setNumThreads(1)
-        load = median_seconds(lambda: dataset[0, 0], 10 * repeats)
+        load = statistics.median(timeit.repeat(lambda: dataset[0, 0], number=1, repeat=10 * repeats + 1)[1:])
         cv2.setNumThreads(-1)
         rows.append(("loader, one core: JPEG 1242x375 to HR tensors 384x1248", 1 / load, "triplets/s"))
         bar.update()
@@ -142,8 +133,7 @@ def bench(encoder: str, repeats: int) -> pd.DataFrame:
         batch = {k: v.to(device) if torch.is_tensor(v) else v for k, v in batch.items()}
         steps = {}
         for precision in precisions:
-            setting = training.model_copy(update={"precision": precision})
-            steps[precision] = median_step("lr", profile.model_copy(update={"training": setting}), batch, device, repeats)
+            steps[precision] = median_step("lr", training.model_copy(update={"precision": precision}), batch, device, repeats)
             bar.update()
         chosen = steps[precisions[0]]
         rows.append((f"stage 1 step, {encoder} 128x416, batch 4, {precisions[0]}", chosen["step"], "s"))
@@ -151,21 +141,19 @@ def bench(encoder: str, repeats: int) -> pd.DataFrame:
         if "bf16" in steps:
             rows.append(("  float32 step / bf16 step", steps["float32"]["step"] / chosen["step"], "ratio"))
         rows.append(("  loading a batch on one core / step", load * training.lr.batch_size / chosen["step"], "ratio"))
-        rows += high_resolution_steps(profile, batch, device, max(repeats // 2, 1), bar)
+        rows += high_resolution_steps(training, batch, device, max(repeats // 2, 1))
+        bar.update(4)
     rows += inference(device, repeats, precisions)
     return pd.DataFrame(rows, columns=["what", "value", "unit"]).assign(device=device_name())
 
 
-def high_resolution_steps(
-    profile: Profile, batch: dict[str, Any], device: torch.device, repeats: int, bar: tqdm
-) -> list[tuple[str, float, str]]:
+def high_resolution_steps(training: Training, batch: dict[str, Any], device: torch.device, repeats: int) -> list[tuple[str, float, str]]:
     """Stage 2's step against that of a ResNet18 network with the same decoder at the same resolution."""
     rows, steps = [], {}
     for name in ("dual", "resnet18"):
-        steps[name] = alone(median_step, name, profile, batch, device, repeats)
-        rows.append((f"stage 2 step, {name} 384x1248, batch 4, {profile.training.precision}", steps[name]["step"], "s"))
+        steps[name] = alone(median_step, name, training, batch, device, repeats)
+        rows.append((f"stage 2 step, {name} 384x1248, batch 4, {training.precision}", steps[name]["step"], "s"))
         rows.append(("  peak memory", steps[name]["peak_mb"], "MB"))
-        bar.update(2)
     rows += [(f"  dual / resnet18, {part}", steps["dual"][part] / steps["resnet18"][part], "ratio") for part in ("step", "peak_mb")]
     return rows
 

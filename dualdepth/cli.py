@@ -5,12 +5,9 @@ import sys
 from typing import NoReturn
 
 from dualdepth import __version__
-from dualdepth.commands.evaluate_depth import add_evaluate_depth
-from dualdepth.commands.evaluate_odometry import add_evaluate_odometry
-from dualdepth.commands.export import add_export
-from dualdepth.commands.predict import add_predict
-from dualdepth.commands.reproduce import add_notebook, add_reproduce
-from dualdepth.commands.train import add_train
+from dualdepth.commands.evaluate import add_evaluate
+from dualdepth.commands.predict import add_export, add_predict
+from dualdepth.commands.reproduce import add_notebook, add_reproduce, add_train
 from dualdepth.errors import exit_on_input_error
 
 
@@ -28,15 +25,8 @@ def build_parser() -> argparse.ArgumentParser:
     parser = OneLineParser(prog="dualdepth", description="Dual networks for high-resolution depth from videos (ICCV 2019), replicated.")
     parser.add_argument("--version", action="version", version=f"dualdepth {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    evaluate = commands.add_parser("evaluate", help="score predictions by the field's protocols")
-    kinds = evaluate.add_subparsers(title="what to evaluate", metavar="KIND", required=True)
-    add_evaluate_depth(kinds)
-    add_evaluate_odometry(kinds)
-    add_reproduce(commands)
-    add_train(commands)
-    add_predict(commands)
-    add_export(commands)
-    add_notebook(commands)
+    for add in (add_evaluate, add_reproduce, add_train, add_predict, add_export, add_notebook):
+        add(commands)
     return parser
 
 

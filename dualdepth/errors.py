@@ -3,6 +3,7 @@
 import contextlib
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 
@@ -21,9 +22,28 @@ class InputError(Exception):
 
 
 def first_mistake(error: Any) -> str:
-    """Where and what the first mistake of a pydantic `ValidationError` is."""
+    """Where and what the first mistake of a pydantic `ValidationError` is, and the value found, cut to 60 characters."""
     first = error.errors(include_url=False)[0]
-    return f"{'.'.join(map(str, first['loc']))}: {first['msg']}".removeprefix(": ")
+    found = textwrap.shorten(repr(first["input"]), 60, placeholder="…")
+    return f"{'.'.join(map(str, first['loc']))}: {first['msg']}, not {found}".removeprefix(": ")
+
+
+@contextlib.contextmanager
+def reading(path: str | Path, mend: str) -> Iterator[None]:
+    """Turn whatever the block raises into an `InputError` that names the file and the mend. For reading and parsing alone.
+
+    Readers have a kind of exception for each damage, so all kinds are taken.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; {mend}") from None
+    except Exception as error:
+        where = getattr(error, "filename", None) or path  # the system says which folder or file may not be touched
+        reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
+        raise InputError(f"{where}: cannot be read ({' '.join(reason.split())}); {mend}") from None
 
 
 @contextlib.contextmanager

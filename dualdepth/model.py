@@ -20,7 +20,7 @@ from dualdepth.networks.architecture import Architecture
 from dualdepth.training.weights import HUB_CARD, load_card, save_weights
 
 UNIT = 16.0
-"""Relative depth is reported as 16 / disparity (1.6 … 1600). Stored as uint16 × 256, as KITTI has it, that resolves near depths to 0.25 %."""
+"""Relative depth is reported as 16 / disparity (1.6 … 1600). Stored as uint16 × 256, as KITTI's, that resolves near depths to 0.25 %."""
 WEIGHTS = "model.safetensors"
 README = """---
 library_name: dualdepth

@@ -20,7 +20,7 @@ def publish_results(profile: str) -> int:
     """Copy `results/<profile>/{tables,figures}` to `results/published/<profile>/`; pictures of real frames stay out.
 
     Raises:
-        InputError: the profile has no results yet.
+        InputError: the profile has no results yet, or some were made by code that was not committed.
     """
     run = Run(profile)
     run.require(run.results / "tables", "05_table_main")
@@ -29,52 +29,32 @@ def publish_results(profile: str) -> int:
         raise InputError(f"{run.results}: {', '.join(dirty)} were made by code that was not committed; commit it and run again")
     target = run.root / "results" / "published" / run.profile.name
     shutil.rmtree(target, ignore_errors=True)
-    # frames of real data sets are not ours to publish
-    folders = ("tables", "figures") if run.profile.world else ("tables",)
-    for folder in folders:
+    for folder in ("tables", "figures") if run.profile.world else ("tables",):  # frames of real data sets are not ours to publish
         if (run.results / folder).is_dir():
             shutil.copytree(run.results / folder, target / folder)
-    files = sum(1 for path in target.rglob("*") if path.is_file())
+    files = sum(path.is_file() for path in target.rglob("*"))
     print(f"{target.relative_to(run.root)}: {files} files")
     return files
 
 
 def publish_notebooks() -> int:
-    """Store the executed copies of `results/tiny/notebooks` as `notebooks/`, without papermill's traces."""
+    """Store the executed copies of `results/tiny/notebooks` as `notebooks/`, without what differs from run to run.
+
+    Raises:
+        InputError: no copy of a notebook has the parameters that are written in it.
+    """
     run = Run("tiny")
-    stored = 0
-    for source in sorted((run.root / "notebooks").glob("*.ipynb")):
+    sources = sorted((run.root / "notebooks").glob("*.ipynb"))
+    for source in sources:
         notebook = _default_copy(source, run.results / "notebooks")
-        notebook.metadata.pop("papermill", None)
-        notebook.metadata.pop("widgets", None)
-        notebook.cells = [cell for cell in notebook.cells if "injected-parameters" not in cell.metadata.get("tags", [])]
-        for number, cell in enumerate(notebook.cells):
-            for key in ("papermill", "execution"):
-                cell.metadata.pop(key, None)
-            cell["id"] = f"{source.stem[:2]}-{number:02d}"  # stable, so that a rerun changes outputs only
-        count = 0
-        for cell in notebook.cells:
-            if cell.cell_type == "code":
-                count += 1
-                cell.execution_count = count
-                for place, output in enumerate(cell.outputs):
-                    if "execution_count" in output:
-                        output.execution_count = count
-                    if html := output.get("data", {}).get("text/html"):  # pandas draws a name for each styled table
-                        output.data["text/html"] = re.sub(r"\bT_[0-9a-f]{5}(?=\b|_)", f"T_{count}_{place}", html)
+        _clean(notebook, source.stem[:2])
         with atomic_path(source) as partial:
             nbformat.write(notebook, partial)
-        stored += 1
-    print(f"notebooks: {stored} stored")
-    return stored
+    print(f"notebooks: {len(sources)} stored")
+    return len(sources)
 
 
 def _default_copy(source: Path, folder: Path) -> nbformat.NotebookNode:
-    """The executed copy whose parameters are those written in the notebook.
-
-    Raises:
-        InputError: there is none.
-    """
     defaults = {k: ast.literal_eval(v["default"]) for k, v in papermill.inspect_notebook(str(source)).items()}
     for copy in sorted(folder.glob(f"{source.stem}*.ipynb")):
         notebook = nbformat.read(copy, as_version=4)
@@ -82,6 +62,23 @@ def _default_copy(source: Path, folder: Path) -> nbformat.NotebookNode:
         if all(str(given[k]) == str(v) for k, v in defaults.items() if k in given):
             return notebook
     raise InputError(f"{folder}: holds no copy of {source.name} with its own parameters; run `make reproduce` first")
+
+
+def _clean(notebook: nbformat.NotebookNode, page: str) -> None:
+    """Remove papermill's traces; number cells, their ids and the names of styled tables anew."""
+    notebook.cells = [cell for cell in notebook.cells if "injected-parameters" not in cell.metadata.get("tags", [])]
+    for part in (notebook, *notebook.cells):
+        for key in ("papermill", "widgets", "execution"):
+            part.metadata.pop(key, None)
+    for number, cell in enumerate(notebook.cells):
+        cell.id = f"{page}-{number:02d}"
+    for count, cell in enumerate((cell for cell in notebook.cells if cell.cell_type == "code"), 1):
+        cell.execution_count = count
+        for place, output in enumerate(cell.outputs):
+            if "execution_count" in output:
+                output.execution_count = count
+            if html := output.get("data", {}).get("text/html"):  # pandas draws a name for each styled table
+                output.data["text/html"] = re.sub(r"\bT_[0-9a-f]{5}(?=\b|_)", f"T_{count}_{place}", html)
 
 
 def main(argv: list[str] | None = None) -> int:

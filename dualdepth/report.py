@@ -45,7 +45,6 @@ CAPTIONS = {
     "backbone_cost": "Parameters and operations.",
     "side_by_side": "Depth of both networks beside the interpolated laser depth.",
     "slim_objects": "Slim objects, enlarged.",
-    "overview": "The networks, drawn from the code.",
     "make3d": "Make3D photos, predicted depth, laser grid and relative error.",
     "odometry_trajectories": "Trajectories from above, laid on the truth with 7dof.",
     "sa_region": "Regions, and the relative error without and with SA-Attention.",
@@ -71,6 +70,8 @@ class Report(NamedTuple):
     assumptions: list[tuple[str, str, str]]
     captions: dict[str, str]
     """Of the figures."""
+    drawing: str
+    """Of the networks, as SVG; empty where the checkout has no docs."""
 
 
 UNSCORED_CAPTIONS = {
@@ -125,7 +126,9 @@ def make_report(run: Run) -> Report:
     more = {name: read[name] for name in ("odometry_trajectories", "odometry_claims") if name in read}
     chosen = assumptions(run.profile.training.loss)
     captions = CAPTIONS if run.profile.data.has_truth else CAPTIONS | UNSCORED_CAPTIONS
-    return Report(run.profile.about, caution, claims, numbers, tables, more, _provenance(run, stamps), figures, chosen, captions)
+    drawing = run.root / "docs/overview.svg"
+    svg = drawing.read_text(encoding="utf-8") if drawing.is_file() else ""
+    return Report(run.profile.about, caution, claims, numbers, tables, more, _provenance(run, stamps), figures, chosen, captions, svg)
 
 
 def _provenance(run: Run, stamps: Sequence[Path]) -> pd.DataFrame:

@@ -10,9 +10,8 @@ import subprocess
 import time
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import pandas as pd
 from pydantic import TypeAdapter, ValidationError
 
 from dualdepth import __version__
@@ -20,6 +19,9 @@ from dualdepth.errors import InputError, first_mistake
 from dualdepth.files import file_digest, short_digest, write_json, write_text
 from dualdepth.profile import Profile, load_profile
 from dualdepth.staleness import code_digest
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 RECORD = "own.json"
 """What data_scripts/own_camera.py writes beside a data set of an own camera: what it was made from."""
@@ -131,10 +133,6 @@ class Run:
         network = chosen.model_dump(mode="json", exclude={"label", "about", "set", "trains_on"})
         return {"variant": network, **profile.values("data.hr_size", f"training.{chosen.stage}", *_SHAPING)}
 
-    def settings_digest(self, variant: str) -> str:
-        """Digest of them."""
-        return short_digest(json.dumps(self.settings(variant), sort_keys=True))
-
     def index(self, variant: str) -> Path:
         """The prepared triplets that a variant trains on (notebook 02)."""
         return self.prepared / {"depth": "triplets.csv", "odometry": "odometry.csv"}[self.profile.variant(variant).trains_on]
@@ -145,7 +143,7 @@ class Run:
         data = [file_digest(self.require(path, "02_prepare_data")) for path in files]
         start = self.profile.variant(variant).starts_from
         data += [file_digest(self.weights(start, seed))] if start else []
-        return short_digest(self.settings_digest(variant), code_digest("training"), str(data))
+        return short_digest(json.dumps(self.settings(variant), sort_keys=True), code_digest("training"), str(data))
 
     def scored_with(self, variants: Iterable[str], seeds: Iterable[int]) -> list[Path]:
         """What a table of these trainings is made from, for its stamp: weights, scored frames, ground truth."""
@@ -162,7 +160,7 @@ class Run:
             raise InputError(f"{path.relative_to(self.root)} is missing: run notebook {notebook} with profile {self.profile.name} first")
         return path
 
-    def save_table(self, table: pd.DataFrame, name: str, inputs: Iterable[Path], **facts: Any) -> Path:
+    def save_table(self, table: "pd.DataFrame", name: str, inputs: Iterable[Path], **facts: Any) -> Path:
         """Write `results/<profile>/tables/<name>.csv` and its stamp."""
         path = self.results / "tables" / f"{name}.csv"
         write_text(path, table.to_csv(index=False, float_format="%.6g"))

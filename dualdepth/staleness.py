@@ -5,7 +5,6 @@ Snakemake notes each of them with a step's outputs, makes the step anew when one
 
 import ast
 import functools
-import hashlib
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -14,18 +13,24 @@ from typing import Any
 from dualdepth.files import short_digest
 
 PACKAGE = Path(__file__).parent
-TRAINING = ("networks", "geometry", "losses", "training", "data", "device")
-TABLES = (*TRAINING, "inference", "evaluation", "tables", "model", "plots", "paper")
+NETWORKS = ("networks", "geometry", "training", "data", "device")
+SCORES = (*NETWORKS, "inference", "evaluation", "tables")
+TABLES = (*SCORES, "plots", "paper")
 CODE = {
-    "data": ("data_scripts", "data", "evaluation", "plots", "tables", "networks", "geometry", "training", "losses", "inference", "device"),
-    "training": TRAINING,
-    "training_page": (*TRAINING, "plots"),
+    "data": ("data_scripts", "data", "geometry", "plots"),
+    "training": (*NETWORKS, "losses"),
+    "training_page": (*NETWORKS, "losses", "plots"),
+    "predict": SCORES,
     "tables": TABLES,
     "report": (*TABLES, "report"),
-    "quickstart": (*TABLES, "data_scripts"),
+    "quickstart": (*TABLES, "model", "data_scripts"),
 }
-"""Folders and modules of `dualdepth`, and the folder `data_scripts`, whose code shapes a step's result; a change in one makes it stale."""
+"""Folders and modules of `dualdepth`, and the folder `data_scripts`, whose code shapes a result; a change in one makes it stale.
+
+`training` is what a training's weights are of, `predict` the scores kept beside them; the others are of steps of the chain.
+"""
 EXEMPT = {
+    "dualdepth": "names and version",
     "errors": "words of messages",
     "files": "how bytes reach the disk, not which",
     "settings": "their values are compared one by one",
@@ -65,7 +70,7 @@ def _digest(part: str) -> str:
 def notebook_digest(path: Path) -> str:
     """Digest of a notebook's code, blind to its prose and outputs."""
     cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
-    return hashlib.sha256(json.dumps(["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]).encode()).hexdigest()[:16]
+    return short_digest(json.dumps(["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]))
 
 
 def _meaning(source: str) -> str:

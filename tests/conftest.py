@@ -12,11 +12,35 @@ import pytest
 from small_encoder import save_encoder
 from small_kitti import write_calibration, write_drive
 
+REPOSITORY = Path(__file__).resolve().parents[1]
+
 
 @pytest.fixture(scope="session")
 def encoder(tmp_path_factory):
     """A small ResNet, as folder for `encoder`."""
     return save_encoder(tmp_path_factory.mktemp("encoder"))
+
+
+@pytest.fixture(scope="session")
+def real():
+    """Finds a file or folder of the real KITTI beside the repository, or skips the test. What is in it may change."""
+
+    def find(path):
+        found = REPOSITORY.parent / "shared" / "data" / path
+        if not found.exists():
+            pytest.skip(f"no real KITTI here ({found})")
+        return found
+
+    return find
+
+
+@pytest.fixture
+def checkout(tmp_path):
+    """A folder that looks like a checkout."""
+    root = tmp_path / "project"
+    (root / "notebooks").mkdir(parents=True)
+    (root / "Snakefile").touch()
+    return root
 
 
 @pytest.fixture

@@ -1,6 +1,7 @@
 """The chain of a small profile in a folder of its own, with a stand-in for the command that runs a notebook."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -43,6 +44,7 @@ class SmallChain:
     def __init__(self, root: Path) -> None:
         self.root = root
         self.profile = root / "own.yaml"
+        self.environment = os.environ | {"PATH": f"{root / 'bin'}:{os.environ['PATH']}", "PYTHONPATH": str(project_root())}
 
     @classmethod
     def make(cls, root: Path) -> "SmallChain":
@@ -56,20 +58,40 @@ class SmallChain:
         (root / "own.yaml").write_text(PROFILE)
         return cls(root)
 
+    def copy(self, root: Path) -> "SmallChain":
+        """All of it, with what it has made."""
+        shutil.copytree(self.root, root, symlinks=True, dirs_exist_ok=True)
+        return SmallChain(root)
+
     def change(self, before: str, after: str) -> None:
         """Put other words into the profile."""
         text = self.profile.read_text()
         assert before in text
         self.profile.write_text(text.replace(before, after))
 
+    def ran(self) -> list[str]:
+        """Notebooks that the last run ran."""
+        file = self.root / "ran.txt"
+        return sorted(file.read_text().splitlines()) if file.exists() else []
+
     def __call__(self, *config: str, change: tuple[str, str] | None = None) -> list[str]:
         """Run the chain, after a change of the profile, and say which notebooks ran."""
         if change:
             self.change(*change)
-        ran = self.root / "ran.txt"
-        ran.unlink(missing_ok=True)
-        environment = os.environ | {"PATH": f"{self.root / 'bin'}:{os.environ['PATH']}", "PYTHONPATH": str(project_root())}
+        (self.root / "ran.txt").unlink(missing_ok=True)
         words = [sys.executable, "-m", "snakemake", "--cores", "2", "--nolock", "--config", f"profile={self.profile}", *config]
-        done = subprocess.run(words, cwd=self.root, env=environment, capture_output=True, text=True, check=False)
+        done = subprocess.run(words, cwd=self.root, env=self.environment, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
-        return sorted(ran.read_text().splitlines()) if ran.exists() else []
+        return self.ran()
+
+    def reproduce(self, *words: str) -> subprocess.CompletedProcess[str]:
+        """The command that a user gives."""
+        command = [sys.executable, "-m", "dualdepth.cli", "reproduce", "--profile", str(self.profile), *words]
+        return subprocess.run(command, cwd=self.root, env=self.environment, capture_output=True, text=True, check=False)
+
+    def would_run(self) -> dict[str, str]:
+        """Why, by rule, of a dry run."""
+        done = self.reproduce("--", "--dry-run")
+        assert done.returncode == 0 and done.stderr == "", done.stderr
+        rules = re.findall(r"^(?:local)?rule (\S+):\n(?:    .*\n)*?    reason: (.*)$", done.stdout, re.MULTILINE)
+        return {name: reason for name, reason in rules if name != "all"}

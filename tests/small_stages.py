@@ -1,4 +1,4 @@
-"""Both stages of small networks, trained once for all tests."""
+"""Both stages of small networks: alone, and as a run in which they are trained once for all tests."""
 
 import json
 import shutil
@@ -6,14 +6,18 @@ from types import SimpleNamespace
 
 import pytest
 import torch
-from accelerate.state import AcceleratorState
 from safetensors.torch import load_file
 from small_encoder import save_encoder
 from small_kitti import DRIVE, write_calibration, write_drive
+from small_nets import equal  # noqa: F401
+from small_training import quiet_torch  # noqa: F401
 
-from data_scripts.prepare_data import write_identity, write_training_index
-from dualdepth.data.triplets import drive_triplets
+from data_scripts.prepare_data import write_identity
+from dualdepth.data.triplets import drive_triplets, write_targets
+from dualdepth.networks.depth_nets import DualNet, LRNet
+from dualdepth.profile import load_profile
 from dualdepth.run import Run, Sources
+from dualdepth.training.stages import Stage
 from dualdepth.training.variants import train_variant
 
 OTHER = "2011_09_26/2011_09_26_drive_0002_sync"
@@ -21,12 +25,30 @@ STEPS = 3
 ONE_STEP = {"training.hr.max_steps": 1}
 
 
-@pytest.fixture(autouse=True)
-def quiet_torch():
-    """Each training decides precision and determinism for itself."""
-    yield
-    AcceleratorState._reset_state(reset_partial_state=True)
-    torch.use_deterministic_algorithms(False)
+def stage_of(depth_net, pose_net, low, augment_first=True, channels_last=True, **loss):
+    """A stage with the settings of `tiny` and these changes."""
+    training = load_profile("tiny").training
+    augmentation = training.augmentation.model_copy(update={"augment_first": augment_first})
+    changes = {"loss": training.loss.model_copy(update=loss), "augmentation": augmentation, "channels_last": channels_last}
+    return Stage(depth_net, pose_net, training.model_copy(update=changes), low=low)
+
+
+def batch_of(items, size):
+    """Noise, as a loader gives it."""
+    images = torch.randint(0, 256, (items, 3, 3, *size), generator=torch.Generator().manual_seed(0), dtype=torch.uint8)
+    matrix = torch.tensor([[120.0, 0, 95.5], [0, 120, 47.5], [0, 0, 1]])
+    return {"images": images, "intrinsics": matrix.expand(items, 3, 3), "name": ["a", "b"][:items]}
+
+
+@pytest.fixture(scope="module")
+def dual_of(encoder):
+    """A small dual network in training mode."""
+
+    def make(link="attention"):
+        torch.manual_seed(0)
+        return DualNet(LRNet(encoder), link).train()
+
+    return make
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +94,7 @@ def trained(run_in, tmp_path_factory):
     Sources(kitti_root=kitti, test_list=root / "test_files.txt").save(run)
     for drive, variant in ((DRIVE, "lr"), (OTHER, "dual")):
         targets = drive_triplets(kitti, [drive])
-        write_training_index(run, Sources.load(run), targets)
+        write_targets(run.index("lr"), kitti, targets)
         write_identity(run, Sources.load(run), targets)
         assert train_variant(run, variant, 0) == run.weights(variant, 0)
     return run
@@ -95,10 +117,8 @@ def part(weights, prefix):
     return {name.removeprefix(prefix): value for name, value in load_file(weights).items() if name.startswith(prefix)}
 
 
-def equal(a, b):
-    return len(a) > 0 and a.keys() == b.keys() and all(torch.equal(v, b[k]) for k, v in a.items())
-
-
-def change_card(run, **changes):
+def change_card(run, *without, **changes):
+    """Change the card of stage 1's weights; some words are taken out."""
     path = run.weights("lr", 0).with_suffix(".json")
-    path.write_text(json.dumps(json.loads(path.read_text()) | changes))
+    card = json.loads(path.read_text()) | changes
+    path.write_text(json.dumps({name: value for name, value in card.items() if name not in without}))

@@ -9,10 +9,13 @@ import torch
 from accelerate.state import AcceleratorState
 from safetensors.torch import load_file
 from small_kitti import DRIVE
+from small_nets import equal  # noqa: F401
 
 from dualdepth.data.triplets import drive_triplets, load_triplets, write_targets
+from dualdepth.networks.depth_nets import LRNet
+from dualdepth.networks.pose_net import PoseNet
 from dualdepth.profile import load_profile
-from dualdepth.training.loop import train
+from dualdepth.training.loop import Trainer
 from dualdepth.training.stages import Stage
 
 STEPS = 6
@@ -57,11 +60,17 @@ def triplets(kitti_root, tmp_path):
 
 @pytest.fixture
 def run(profile_of, triplets, tmp_path):
-    def call(folder="run", make_model=Stage, profile=None, seed=0, recipe="r", given=None):
+    """Trains stage 1 in a folder of its own; gives the weights. `kind` is the class of the stage."""
+
+    def call(folder="run", kind=Stage, profile=None, seed=0, recipe="r", given=None):
         profile = profile or profile_of()
-        path = train(
-            make_model, profile.training.lr, profile, given or triplets, tmp_path / folder, seed=seed, recipe=recipe, card={"is": "x"}
-        )
+        settings = profile.training
+
+        def make():
+            return kind(LRNet(settings.encoder, settings.pretrained), PoseNet(), settings, low=True)
+
+        trainer = Trainer(make, settings.lr, profile, given or triplets, tmp_path / folder, seed=seed, recipe=recipe)
+        path = trainer.run({"is": "x"})
         assert path == tmp_path / folder / "model.safetensors"
         return load_file(path)
 
@@ -71,19 +80,15 @@ def run(profile_of, triplets, tmp_path):
 def at_forward(number, event):
     """A stage that calls `event(output)` on its forward with this number, and gives what that returns."""
 
-    class Stage(Stage):
+    class Disturbed(Stage):
         calls = 0
 
         def forward(self, batch):
             output = super().forward(batch)
-            Stage.calls += 1
-            return (event(output) or output) if Stage.calls == number else output
+            Disturbed.calls += 1
+            return (event(output) or output) if Disturbed.calls == number else output
 
-    return Stage
-
-
-def equal(a, b):
-    return a.keys() == b.keys() and all(torch.equal(v, b[k]) for k, v in a.items())
+    return Disturbed
 
 
 def kill_softly(_):

@@ -129,9 +129,8 @@ def test_bad_predictions_are_one_line_with_the_file(files, capsys, case):
 
 def test_bad_ground_truth_is_one_line_with_the_file(files, capsys):
     Path("cut.npz").write_bytes(Path("G.npz").read_bytes()[:-20])
-    for name, says in {"cut.npz": "not a readable npz", "absent.npz": "no such file", "P.npy": "not an npz"}.items():
-        message = fails(capsys, "--pred", "P.npy", "--gt", name)
-        assert name in message and says in message
+    for name in ("cut.npz", "absent.npz", "P.npy"):
+        assert f"error: {name}: " in fails(capsys, "--pred", "P.npy", "--gt", name)
 
 
 @pytest.mark.parametrize(
@@ -170,6 +169,6 @@ def test_ctrl_c_is_one_line_that_says_how_to_go_on(monkeypatch, capsys):
     def interrupted(_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("dualdepth.commands.train.train", interrupted)
+    monkeypatch.setattr("dualdepth.commands.reproduce.train", interrupted)
     assert main(["train"]) == 130
     assert capsys.readouterr().err == "stopped; the same command goes on where it was\n"

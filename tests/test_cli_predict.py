@@ -32,7 +32,7 @@ class Brightness(nn.Module):
 
 @pytest.fixture(autouse=True)
 def stand_in(monkeypatch):
-    monkeypatch.setattr("dualdepth.networks.architecture.HRNet", Brightness)
+    monkeypatch.setattr("dualdepth.networks.depth_nets.HRNet", Brightness)
 
 
 @pytest.fixture

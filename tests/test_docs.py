@@ -46,9 +46,7 @@ DRY = {
     # long, or in need of KITTI, a network, a GPU or a cluster
     "make": dry_make,
     "dualdepth reproduce": dry_program,
-    "dualdepth status": dry_program,
     "dualdepth train": dry_program,
-    "dualdepth replay": dry_program,
     "python data_scripts/prepare_data.py": dry_program,
     "python data_scripts/own_camera.py": dry_program,  # a film that a person would make; tests/data_scripts/test_own_camera.py runs it
     "python data_scripts/download_kitti.py": dry_program,
@@ -127,7 +125,7 @@ def test_every_command_runs_on_small_data_or_is_dry_run(command, small_world, mo
 
 @pytest.mark.parametrize("command", inline_commands(), ids=named)
 def test_commands_in_prose_are_known(command, monkeypatch):
-    """`dualdepth status` in a sentence mentions a command; one with options is a command to type."""
+    """`dualdepth train` in a sentence mentions a command; one with options is a command to type."""
     entry = entry_of(command)
     assert entry, f"{named(command)}: unknown; add it to EXECUTED or DRY in tests/test_docs.py"
     mention = entry not in DRY or DRY[entry] is dry_program
@@ -171,9 +169,9 @@ def test_links_lead_to_files_and_headings(page):
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_files_that_are_named_exist(page):
-    """`dualdepth/sections.py` in prose is a file of the repository; what a run writes, or a pattern, is none."""
+    """`dualdepth/settings.py` in prose is a file of the repository; what a run writes, or a pattern, is none."""
     for code in inline_code(page):
-        if re.fullmatch(r"(dualdepth|data_scripts|tests|docs|cluster|experiments|notebooks)/[\w./-]*", code):
+        if re.fullmatch(r"(dualdepth|data_scripts|tests|docs|cluster|notebooks)/[\w./-]*", code):
             assert (REPOSITORY / code).exists(), f"{page.name} names {code}, which is not there"
 
 

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from dualdepth import geometry
-from dualdepth.geometry import pose_matrix, reproject, resize_intrinsics, rotation_matrix, sample
+from dualdepth.geometry import low_resolution, pose_matrix, reproject, resize_intrinsics, rotation_matrix, sample, to_unit
 
 KITTI = torch.tensor([[721.5, 0.0, 609.6], [0.0, 721.5, 172.9], [0.0, 0.0, 1.0]])
 
@@ -259,3 +259,11 @@ def test_coordinates_that_are_no_numbers_are_sampled_and_derived_without_harm(ba
     assert pixel.grad.isfinite().all() and image.grad.isfinite().all()
     pixel, valid = reproject(disparities(8, 12), pose(bad, 0, 0, 0, 0, 0), camera(8, 12))
     assert not valid.any() or abs(bad) == 1e30
+
+
+def test_the_low_resolution_image_is_the_high_resolution_one_averaged_3_by_3():
+    images = torch.from_numpy(np.random.default_rng(0).integers(0, 256, (2, 3, 3, 12, 18), np.uint8))
+    found = low_resolution(to_unit(images))
+    blocks = images.numpy().astype(np.float64).reshape(2, 3, 3, 4, 3, 6, 3).mean((4, 6)) / 255
+    assert found.shape == (2, 3, 3, 4, 6)
+    assert np.allclose(found.numpy(), blocks, atol=1e-6)

@@ -7,8 +7,18 @@ from slow_losses import slow_minimum, slow_photometric, slow_smoothness, slow_ss
 
 from dualdepth import geometry
 from dualdepth.losses import feature_error, mean_of_minimum, photometric_error, smoothness, ssim, total_loss
+from dualdepth.settings import Loss
 
 ALPHA = 0.85
+
+
+def settings(*weights, **others):
+    """Settings with these λ1, λ2, λ3."""
+    photometric, smoothness, feature = weights or (1.0, 0.1, 0.01)
+    return Loss(photometric=photometric, smoothness=smoothness, feature=feature, alpha=ALPHA, **{"mean_disparity": 10.0} | others)
+
+
+AUTOMASK = settings(beyond_paper_automask=True)
 
 
 def noise(*shape, seed=0, dtype=torch.float32):
@@ -29,9 +39,7 @@ def batch(size=(16, 24), seed=0, dtype=torch.float32, items=1):
             noise(items, 5, height, width, seed=seed + 7, dtype=dtype),
             noise(items, 2, 5, height, width, seed=seed + 8, dtype=dtype),
         ),
-        "weights": (1.0, 0.1, 0.01),
-        "alpha": ALPHA,
-        "mean_disparity": 10.0,
+        "settings": settings(),
     }
 
 
@@ -174,7 +182,7 @@ def test_the_total_loss_equals_a_slow_reading_of_the_paper():
         [d[0, 0].double().numpy() for d in given["disparities"]],
         given["poses"][0].numpy(),
         features,
-        given["weights"],
+        (1.0, 0.1, 0.01),
         10.0,
     )
     for name, value in zip(("total", "photometric", "smoothness", "feature"), expected):
@@ -220,14 +228,14 @@ def test_mean_disparity_and_translation_trade_against_each_other():
     given = batch()
     poses = given["poses"].clone()
     poses[..., :3] *= 10
-    other = given | {"mean_disparity": 1.0, "poses": poses}
+    other = given | {"settings": settings(mean_disparity=1.0), "poses": poses}
     assert total_loss(**other).photometric.item() == pytest.approx(total_loss(**given).photometric.item(), rel=1e-4)
 
 
 def test_the_weights_act_linearly():
     given = batch()
-    parts = [total_loss(**given | {"weights": w}).total.item() for w in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))]
-    mixed = total_loss(**given | {"weights": (2.0, 0.5, 3.0)})
+    parts = [total_loss(**given | {"settings": settings(*w)}).total.item() for w in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))]
+    mixed = total_loss(**given | {"settings": settings(2.0, 0.5, 3.0)})
     assert mixed.total.item() == pytest.approx(2 * parts[0] + 0.5 * parts[1] + 3 * parts[2], rel=1e-5)
     assert [mixed.photometric.item(), mixed.smoothness.item(), mixed.feature.item()] == pytest.approx(parts, rel=1e-5)
 
@@ -256,11 +264,11 @@ def test_the_right_motion_costs_less_than_none():
     views = [texture[..., 8 + s : 8 + s + 32] for s in (0, -shift, shift)]  # the world moves right, then left
     k = torch.tensor([[[20.0, 0, 15.5], [0, 20, 11.5], [0, 0, 1]]])
     given = {"images": torch.stack(views, 1), "intrinsics": k, "disparities": [torch.full((1, 1, 24, 32), 4.0)]}
-    settings = {"weights": (1.0, 0.0, 0.0), "alpha": ALPHA, "mean_disparity": 10.0}
+    photometric = settings(1.0, 0.0, 0.0)
     poses = torch.zeros(1, 2, 6)
     poses[0, 0, 0], poses[0, 1, 0] = shift / 20 / 10, -shift / 20 / 10  # pixels / focal length × depth
-    assert total_loss(**given, poses=poses, **settings).photometric < 1e-3
-    assert total_loss(**given, poses=torch.zeros(1, 2, 6), **settings).photometric > 0.02
+    assert total_loss(**given, poses=poses, settings=photometric).photometric < 1e-3
+    assert total_loss(**given, poses=torch.zeros(1, 2, 6), settings=photometric).photometric > 0.02
 
 
 def test_where_one_source_is_blind_the_other_one_counts():
@@ -285,9 +293,8 @@ def test_the_log_shows_what_the_loss_saw():
 def test_the_automask_drops_what_stands_still_and_only_when_asked():
     given = batch()
     still = given | {"images": given["images"][:, :1].expand(-1, 3, -1, -1, -1)}
-    assert total_loss(**still, automask=True).photometric == 0
+    assert total_loss(**still | {"settings": AUTOMASK}).photometric == 0
     assert total_loss(**still).photometric > 0.01
-    assert total_loss(**given, automask=False).total == total_loss(**given).total
 
 
 # Degenerate input: training must survive it.
@@ -309,7 +316,7 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_degenerate_input_gives_a_finite_loss_and_finite_gradients(case, automask):
     made, given = leaves(CASES[case](batch()))
-    found = total_loss(**given, automask=automask)
+    found = total_loss(**given | {"settings": AUTOMASK if automask else given["settings"]})
     found.total.backward()
     assert found.total.isfinite()
     assert all(tensor.grad is None or tensor.grad.isfinite().all() for tensor in made)

@@ -97,7 +97,7 @@ def test_the_card_survives_and_the_hubs_page_says_the_same(folder, model):
 
 def test_a_trainings_own_file_and_folder_are_taken(model, tmp_path):
     whole = nn.ModuleDict({"depth_net": model.net, "pose_net": nn.Linear(1, 1)})
-    save_weights(tmp_path / "model.safetensors", whole, CARD | model.architecture.words())
+    save_weights(tmp_path / "model.safetensors", whole, CARD | model.architecture.model_dump())
     image = wall(60, 80)
     for weights in (tmp_path, tmp_path / "model.safetensors", str(tmp_path)):
         assert np.array_equal(dualdepth.load(weights, "cpu").predict(image), model.predict(image))

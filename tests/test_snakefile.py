@@ -1,8 +1,13 @@
 """The order of the chain and what makes a step stale, with a stand-in for the command that runs a notebook."""
 
+import re
+import shutil
+import sys
+
 import pytest
 from small_chain import SmallChain
 
+from dualdepth.files import locked
 from dualdepth.run import project_root
 
 TABLES = sorted([path.stem for path in (project_root() / "notebooks").glob("*_table_*.ipynb")] + ["13_figures", "14_report"])
@@ -10,9 +15,23 @@ OF_DEPTH = [page for page in TABLES if page != "12_table_odometry"]
 """Pages that scored trainings of this profile."""
 
 
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A chain that has run to its end."""
+    chain = SmallChain.make(tmp_path_factory.mktemp("finished"))
+    chain()
+    return chain
+
+
 @pytest.fixture
-def chain(tmp_path):
-    """Runs the chain of a profile in a folder of its own, and says which notebooks ran."""
+def chain(finished, tmp_path):
+    """A copy of it to change."""
+    return finished.copy(tmp_path)
+
+
+@pytest.fixture
+def fresh(tmp_path):
+    """A chain that has not run."""
     return SmallChain.make(tmp_path)
 
 
@@ -22,7 +41,8 @@ def trainings(*seeds):
 
 def test_it_runs_everything_once_then_only_what_a_change_makes_stale(chain):
     pages = ["00_quickstart", "01_download_data", "02_prepare_data"]
-    assert chain() == sorted([*pages, *trainings(0), *TABLES])
+    assert chain.ran() == sorted([*pages, *trainings(0), *TABLES])
+    assert {line.split()[0] for line in chain.ran()} == {path.stem for path in (project_root() / "notebooks").glob("*.ipynb")}
     assert chain() == []
     # another protocol: the tables alone
     assert chain(change=("world:", "evaluation: {crop: none}\nworld:")) == TABLES
@@ -42,25 +62,23 @@ def test_it_runs_everything_once_then_only_what_a_change_makes_stale(chain):
 
 
 def test_how_often_the_log_is_written_makes_nothing_stale(chain):
-    chain()
     assert chain(change=("resnet18}", "resnet18, log_every: 6}")) == []
 
 
-def test_seed_zero_alone_can_be_asked_for_in_a_profile_of_several(chain):
-    ran = chain("seeds=0", change=("about:", "seeds: [0, 1, 2]\nabout:"))
+def test_seed_zero_alone_can_be_asked_for_in_a_profile_of_several(fresh):
+    ran = fresh("seeds=0", change=("about:", "seeds: [0, 1, 2]\nabout:"))
     assert [name for name in ran if name.startswith(("03", "04"))] == trainings(0)
 
 
 def test_other_frames_to_score_leave_the_weights_where_they_are(chain, tmp_path):
-    chain()
     weights = tmp_path / "work/own/runs/lr/seed0/model.safetensors"
     weights.write_text("learned")
     chain(change=("source: miniature", "source: miniature, baseline_frames: 3"))
     assert weights.read_text() == "learned"
 
 
-def test_a_profile_that_trains_stage_1_alone_has_its_tables(chain):
-    ran = chain(change=("train: {lr: , dual: , resnet18: }", "train: {lr: }"))
+def test_a_profile_that_trains_stage_1_alone_has_its_tables(fresh):
+    ran = fresh(change=("train: {lr: , dual: , resnet18: }", "train: {lr: }"))
     assert [name for name in ran if name.startswith(("03", "04"))] == trainings(0)[:1]
     assert set(TABLES) <= set(ran)
 
@@ -70,59 +88,93 @@ KITTI = ("world: {}\ndata: {source: miniature}", "data: {source: kitti, train_dr
 
 
 def test_odometry_is_trained_on_triplets_of_its_own(chain, tmp_path):
-    chain(change=ODOMETRY)
-    weights = tmp_path / "work/own/runs/odometry_lr/seed0/trained.json"
-    assert weights.exists()
+    assert "03_train_lr odometry_lr seed 0" in chain(change=ODOMETRY)
     (tmp_path / "work/own/prepared/odometry.csv").write_text("others")
     assert {"03_train_lr odometry_lr seed 0", "12_table_odometry"} <= set(chain()) and "03_train_lr lr seed 0" not in chain()
 
 
-def test_a_data_set_of_an_own_camera_made_anew_in_its_folder_is_prepared_anew(chain, tmp_path):
+def test_a_data_set_of_an_own_camera_made_anew_in_its_folder_is_prepared_anew(fresh, tmp_path):
     own = ("world: {}\ndata: {source: miniature}", "data: {source: own}")
     (tmp_path / "film").mkdir()
     (tmp_path / "film/own.json").write_text("one")
-    chain(f"kitti_root={tmp_path / 'film'}", change=own)
+    fresh(f"kitti_root={tmp_path / 'film'}", change=own)
     (tmp_path / "film/own.json").write_text("another")
-    assert {"01_download_data", "02_prepare_data", "03_train_lr lr seed 0"} <= set(chain(f"kitti_root={tmp_path / 'film'}"))
+    assert {"01_download_data", "02_prepare_data", "03_train_lr lr seed 0"} <= set(fresh(f"kitti_root={tmp_path / 'film'}"))
 
 
-def test_without_its_folder_odometry_is_not_trained_but_has_its_table(chain, tmp_path):
-    profile = tmp_path / "own.yaml"
-    profile.write_text(profile.read_text().replace(*KITTI))
-    ran = chain(change=ODOMETRY)
+def test_without_its_folder_odometry_is_not_trained_but_has_its_table(fresh):
+    fresh.change(*KITTI)
+    ran = fresh(change=ODOMETRY)
     assert [name for name in ran if name.startswith("03")] == ["03_train_lr lr seed 0"] and "12_table_odometry" in ran
-    assert "03_train_lr odometry_lr seed 0" in chain("odometry_root=/somewhere")
+    assert "03_train_lr odometry_lr seed 0" in fresh("odometry_root=/somewhere")
 
 
 def test_a_result_that_was_deleted_is_made_again(chain, tmp_path):
-    chain()
     (tmp_path / "results/own/tables/main.csv").unlink()
     assert chain() == ["05_table_main", "14_report"]
     (tmp_path / "results/own/report.html").unlink()
     assert chain() == ["14_report"]
 
 
-def test_every_notebook_is_in_the_chain(chain):
-    named = {path.stem for path in (project_root() / "notebooks").glob("*.ipynb")}
-    assert named == {line.split()[0] for line in chain()}
-
-
-def test_replaced_files_of_a_folder_make_their_page_stale(chain, tmp_path):
-    profile = tmp_path / "own.yaml"
-    profile.write_text(profile.read_text().replace(*KITTI))
+def test_replaced_files_of_a_folder_make_their_page_stale(fresh, tmp_path):
+    fresh.change(*KITTI)
     grids = tmp_path / "make3d" / "Gridlaserdata"
     grids.mkdir(parents=True)
     (grids / "a.mat").write_text("one")
     given = f"make3d_root={tmp_path / 'make3d'}"
-    chain(given)
-    assert chain(given) == []
+    fresh(given)
     (grids / "a.mat").write_text("another")
-    assert chain(given) == ["06_table_make3d", "14_report"]
+    assert fresh(given) == ["06_table_make3d", "14_report"]
 
 
-def test_the_cluster_profile_is_one_that_snakemake_takes(chain):
+def test_the_cluster_profile_is_one_that_snakemake_takes(fresh):
     """A dry run; the SLURM plugin itself is not installed here."""
     settings = project_root() / "cluster" / "slurm"
     assert "executor: slurm" in (settings / "config.yaml").read_text()
-    assert chain("--profile", str(settings), "--executor", "local", "--dry-run") == []
-    assert chain() != []  # it had only been planned
+    assert fresh("--profile", str(settings), "--executor", "local", "--dry-run") == []
+
+
+def test_a_dry_run_names_a_changed_setting_with_both_values_and_what_follows_from_it(chain):
+    chain.change("resnet18}", "resnet18, hr: {epochs: 7}}")
+    why = chain.would_run()
+    changed = r"before: \('setting training\.hr\.epochs', \d+\) now: \('setting training\.hr\.epochs', 7\)"
+    assert {name for name, reason in why.items() if re.search(changed, reason)} == {"train_dual", "train_resnet18"}
+    assert not {"train_lr", "12_table_odometry"} & why.keys()
+    assert "work/own/runs/dual/seed0/trained.json" in why["10_table_sa_region"]
+
+
+def test_a_dry_run_names_changed_code_by_its_folder_and_a_changed_notebook(chain):
+    for folder in ("dualdepth", "data_scripts"):  # before those that PYTHONPATH names
+        shutil.copytree(project_root() / folder, chain.root / folder)
+    for file, more in (("evaluation/depth.py", "X = 1\n"), ("training/loop.py", "# a comment\n")):
+        (chain.root / "dualdepth" / file).open("a").write(more)
+    why = chain.would_run()
+    assert "('code evaluation', " in why["05_table_main"] and not {"download_data", "train_lr", "train_dual"} & why.keys()
+    notebook = chain.root / "notebooks/03_train_lr.ipynb"
+    notebook.write_text(notebook.read_text().replace("profile = ", "profile =  "))
+    assert "('notebook 03_train_lr', " in chain.would_run()["train_lr"]
+
+
+def test_a_dry_run_needs_no_lock_and_writes_none(chain):
+    lock = chain.root / "work/own/lock"
+    assert chain.would_run() == {} and not lock.exists()
+    with locked(lock):
+        assert chain.would_run() == {}
+        assert chain.reproduce().returncode == 2
+
+
+def test_a_run_ends_with_where_its_results_are_or_with_one_line_of_error(chain):
+    done = chain.reproduce()
+    assert (done.returncode, done.stdout, done.stderr) == (0, "profile own: a test; results in results/own\n", "")
+    (chain.root / "results/own/report.html").unlink()
+    done = chain.reproduce()
+    assert done.returncode == 0 and done.stdout.splitlines()[-1].startswith("results of profile own: results/own/report.html")
+    command = chain.root / "bin/dualdepth"
+    command.write_text(f"#!{sys.executable}\nraise SystemExit('error: a mistake')\n")
+    chain.change("world: {}", "world: {train_seed: 3}")
+    done = chain.reproduce()
+    assert done.returncode == 1 and [line[:24] for line in done.stderr.splitlines()] == ["error: a mistake", "error: the chain stopped"]
+    (chain.root / ".snakemake").rename(chain.root / "elsewhere")
+    (chain.root / ".snakemake").touch()
+    done = chain.reproduce()
+    assert done.returncode == 2 and ".snakemake: nothing can be written there" in done.stderr

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from dualdepth.data.kitti import calibration_entry, numbered_lines, read_calibration
-from dualdepth.errors import InputError
+from dualdepth.data.kitti import calibration_entry, read_calibration
+from dualdepth.errors import InputError, reading
 
 FIELD = (20.0, 150.0)
 """Horizontal fields of view, in degrees, that are believed: below is a telephoto lens, above a fisheye that no pinhole fits."""
@@ -72,15 +72,13 @@ def camera_of_file(path: str | Path, size: tuple[int, int]) -> Camera:
     path = Path(path)
     if path.suffix.lower() != ".json":
         return validate(Camera(_kitti_matrix(path, size), size, f"given in {path.name}"), str(path))
-    try:
+    with reading(path, 'give {"fx": …, "fy": …, "cx": …, "cy": …} in pixels'):
         values = json.loads(path.read_text(encoding="utf-8"))
         values = values.get("camera", values)
         matrix = _matrix(*(float(values[k]) for k in ("fx", "fy", "cx", "cy")))
         distortion = tuple(float(v) for v in values.get("distortion", ()))
         said = (int(values.get("height", size[0])), int(values.get("width", size[1])))
         origin = str(values.get("origin", "given"))
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise InputError(f'{path}: holds no camera ({error!r}); give {{"fx": …, "fy": …, "cx": …, "cy": …}} in pixels') from None
     if len(distortion) not in (0, 4, 5, 8) or not np.isfinite(distortion).all():
         raise InputError(f"{path}: distortion has {len(distortion)} numbers; give OpenCV's k1, k2, p1, p2, k3, or none")
     _check_size(path, said, size)
@@ -196,16 +194,10 @@ def _check_size(path: Path, said: tuple[int, int], size: tuple[int, int]) -> Non
 
 
 def _kitti_matrix(path: Path, size: tuple[int, int]) -> np.ndarray:
-    """From the first entry of `KEYS`, or of a file whose rows have no names from its first row."""
-    lines = numbered_lines(path)
-    try:
-        bare = np.array([float(word) for word in lines[0][1].split()]) if lines else np.array([])
-    except ValueError:
-        values = read_calibration(path)
-        key = next((k for k in KEYS if k in values), KEYS[0])
-        if (said := f"S_rect{key[-3:]}") in values and key.startswith("P_rect"):
-            width, height = calibration_entry(values, said, 2, path)
-            _check_size(path, (round(height), round(width)), size)
-    else:
-        values, key = {"first row": bare}, "first row"
+    """From the first entry of `KEYS`."""
+    values = read_calibration(path)
+    key = next((k for k in KEYS if k in values), KEYS[0])
+    if (said := f"S_rect{key[-3:]}") in values and key.startswith("P_rect"):
+        width, height = calibration_entry(values, said, 2, path)
+        _check_size(path, (round(height), round(width)), size)
     return calibration_entry(values, key, 12, path).reshape(3, 4)[:, :3].copy()

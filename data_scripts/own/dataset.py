@@ -20,7 +20,7 @@ from data_scripts.own.camera import Camera, Straightener
 from data_scripts.own.checks import Drive
 from dualdepth.data.frames import Footage
 from dualdepth.data.kitti import SUFFIXES
-from dualdepth.errors import InputError
+from dualdepth.errors import InputError, reading
 from dualdepth.profile import PROFILES
 from dualdepth.run import RECORD
 
@@ -130,10 +130,9 @@ def read_record(root: str | Path) -> dict[str, Any] | None:
     path = Path(root) / RECORD
     if not path.is_file():
         return None
-    try:
+    mend = "make the data set again with data_scripts/own_camera.py"
+    with reading(path, mend):
         values = json.loads(path.read_text(encoding="utf-8"))
         if min(values["camera"]["width"], values["camera"]["height"]) > 0 and isinstance(values["made_from"], str):
             return values
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise InputError(f"{path}: is no record of data_scripts/own_camera.py ({error!r}); make the data set again") from None
-    raise InputError(f"{path}: is no record of data_scripts/own_camera.py; make the data set again")
+    raise InputError(f"{path}: is no record of an own camera; {mend}")

@@ -1,1 +1,1 @@
-"""The command line's subcommands, one file each; heavy imports belong into the functions that need them."""
+"""The command line's subcommands, by what they do; heavy imports belong into the functions that need them."""

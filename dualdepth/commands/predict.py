@@ -1,6 +1,10 @@
-"""`dualdepth predict`: depth of images, folders and videos with trained weights."""
+"""`dualdepth predict` and `dualdepth export`: depth of images and videos with trained weights, and these as a file for other programs."""
 
 import argparse
+import math
+from pathlib import Path
+
+from dualdepth.errors import InputError
 
 KINDS = ("colour", "depth", "side", "npy", "ply")
 
@@ -52,18 +56,30 @@ def add_predict(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     parser.set_defaults(run=predict)
 
 
+def add_export(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add the subcommand `export`."""
+    parser = commands.add_parser(
+        "export",
+        help="write a trained depth network as an ONNX file",
+        description="Write a trained depth network as one ONNX file: image (B, 3, H, W), RGB, float32 in [0, 1] -> disparity (B, 1, h, w)"
+        " of unknown scale; B is free. `dualdepth predict` gives depth = 16 / disparity."
+        " It is compared with PyTorch in ONNX Runtime, and kept only if they agree to a thousandth.",
+    )
+    parser.add_argument("--to", required=True, choices=("onnx",), help="format of the file")
+    parser.add_argument("--weights", required=True, metavar="W.safetensors", help="of a training; their card (.json) lies beside them")
+    parser.add_argument("--out", required=True, metavar="DEPTH.onnx", help="file to write")
+    parser.add_argument("--frames", nargs="+", default=[], metavar="IMAGE", help="compare on these images (default: three made-up ones)")
+    parser.set_defaults(run=export)
+
+
 def predict(arguments: argparse.Namespace) -> int:
     """Predict all inputs and say what came of it; 1 where some were broken.
 
     Raises:
         InputError: an input or the weights are not there, an option is out of its range, or results cannot be written.
     """
-    import math
-    from pathlib import Path
-
-    from dualdepth.errors import InputError
-    from dualdepth.inference.camera import KITTI_FIELD_OF_VIEW, Camera
     from dualdepth.inference.inputs import find_inputs
+    from dualdepth.inference.outputs import KITTI_FIELD_OF_VIEW, Camera, Style
 
     if not (math.isfinite(arguments.scale) and arguments.scale > 0):
         raise InputError(f"--scale {arguments.scale}: must be a positive number")
@@ -75,10 +91,8 @@ def predict(arguments: argparse.Namespace) -> int:
 
     from dualdepth.device import keep_freed_memory
     from dualdepth.files import check_writable, locked, remove_leftovers
-    from dualdepth.inference.journal import Journal
-    from dualdepth.inference.outputs import Style
+    from dualdepth.inference.journal import Journal, plan
     from dualdepth.inference.running import Predictor
-    from dualdepth.inference.tasks import plan
     from dualdepth.model import load
 
     keep_freed_memory()
@@ -113,3 +127,21 @@ def _kinds(words: str) -> tuple[str, ...]:
     if unknown := [kind for kind in kinds if kind not in KINDS]:
         raise argparse.ArgumentTypeError(f"{unknown[0]!r} is unknown: choose some of {', '.join(KINDS)}, with commas, or all")
     return kinds
+
+
+def export(arguments: argparse.Namespace) -> int:
+    """Export and say what was written and how near to PyTorch it is.
+
+    Raises:
+        InputError: what `export_onnx` says.
+    """
+    from dualdepth.inference.export import TOLERANCE, export_onnx
+
+    done = export_onnx(arguments.weights, arguments.out, arguments.frames)
+    (height, width), (h, w) = done.size, done.output_size
+    print(f"{done.path}: image (B, 3, {height}, {width}) -> disparity (B, 1, {h}, {w}), {done.path.stat().st_size / 1e6:.1f} MB")
+    if done.difference is None:
+        print("not compared with PyTorch: onnxruntime is not installed; `pip install onnxruntime` brings it")
+    else:
+        print(f"largest relative difference from PyTorch on {done.images} images: {done.difference:.2g} (tolerance {TOLERANCE:g})")
+    return 0

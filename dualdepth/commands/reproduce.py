@@ -1,8 +1,19 @@
-"""`dualdepth reproduce` and `dualdepth notebook`: the chain of notebooks, and one of them."""
+"""`dualdepth reproduce`, `notebook` and `train`: the chain of notebooks, one of them, and one training by hand or under SLURM."""
 
 import argparse
+import os
+import re
+import shutil
+import sys
+from contextlib import nullcontext
+from pathlib import Path
 
-from dualdepth.run import ROOTS, add_roots, check_roots, parse_seeds
+from dualdepth.errors import InputError
+from dualdepth.files import check_writable, locked, remove_leftovers
+from dualdepth.run import ROOTS, Run, add_roots, check_roots, parse_seeds
+
+DRY = {"-n", "--dry-run", "--dryrun"}
+"""Snakemake's options for only saying what it would run."""
 
 
 def add_reproduce(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -25,40 +36,55 @@ def add_notebook(commands: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.set_defaults(run=notebook)
 
 
+def add_train(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add the subcommand `train`."""
+    parser = commands.add_parser("train", help="train one variant of a profile, or go on with it")
+    parser.add_argument("--profile", default="tiny", help="tiny, miniature, sample, paper, own, or a YAML file (default: %(default)s)")
+    parser.add_argument("--variant", default="lr", help="which network (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="of initialisation, order and augmentation (default: %(default)s)")
+    parser.set_defaults(run=train)
+
+
 def reproduce(arguments: argparse.Namespace) -> int:
-    """Become Snakemake, which runs the chain under a lock, so that two runs of one profile cannot mix.
+    """Become Snakemake, which runs the chain under a lock, so that two runs of one profile cannot mix; a dry run needs none.
 
     Raises:
         InputError: bad profile, seeds or paths, or a live run of the same profile.
     """
-    import os
-    import shutil
-    import sys
-    from pathlib import Path
+    run, dry = Run(arguments.profile), not DRY.isdisjoint(arguments.snakemake)
+    command = snakemake_command(arguments, run.profile.seeds, ["host", "progress"] if dry else ["all"])
+    check_writable(run.root / ".snakemake")  # of which Snakemake, being quiet, would not say a word
+    with nullcontext() if dry else locked(run.work / "lock", inherited=True):
+        for folder in () if dry else (run.results, run.prepared):  # a training looks after its own
+            remove_leftovers(folder)
+        print(f"profile {run.profile.name}: {run.profile.about}; results in {run.results.relative_to(run.root)}", flush=True)
+        os.chdir(run.root)
+        os.execv(sys.executable, command)
 
-    from dualdepth.files import locked, remove_leftovers
-    from dualdepth.run import Run
 
-    run = Run(arguments.profile)
-    seeds = parse_seeds(arguments.seeds) or run.profile.seeds
+def snakemake_command(arguments: argparse.Namespace, usual_seeds: list[int], quiet: list[str]) -> list[str]:
+    """The words that start Snakemake.
+
+    Args:
+        arguments: of the command line.
+        usual_seeds: where it names none.
+        quiet: what Snakemake shall not speak of.
+
+    Raises:
+        InputError: bad seeds or paths.
+    """
     given = {name: getattr(arguments, name) for name in ROOTS}
     check_roots(given)
     config = {
         "profile": str(Path(arguments.profile).resolve()) if Path(arguments.profile).is_file() else arguments.profile,
-        "seeds": ",".join(map(str, seeds)),
+        "seeds": ",".join(map(str, parse_seeds(arguments.seeds) or usual_seeds)),
         **{name: str(Path(value).resolve()) if value else "" for name, value in given.items()},
         "allow_leak": int(arguments.allow_leak),
     }
-    command = [sys.executable, "-m", "snakemake", "--cores", arguments.cores, "--nolock", "--rerun-incomplete", "--quiet", "all"]
+    command = [sys.executable, "-m", "snakemake", "--cores", arguments.cores, "--nolock", "--rerun-incomplete", "--quiet", *quiet]
     if shutil.which("nvidia-smi"):
         command += ["--resources", "gpu=1"]  # one training at a time has the GPU to itself
-    command += [*arguments.snakemake, "--config", *(f"{k}={v}" for k, v in config.items())]
-    with locked(run.work / "lock", inherited=True):
-        for folder in (run.results, run.prepared):  # a training looks after its own
-            remove_leftovers(folder)
-        sys.stdout.flush()
-        os.chdir(run.root)
-        os.execv(sys.executable, command)
+    return [*command, *arguments.snakemake, "--config", *(f"{k}={v}" for k, v in config.items())]
 
 
 def notebook(arguments: argparse.Namespace) -> int:
@@ -79,10 +105,6 @@ def parse_parameters(pairs: list[str]) -> dict[str, int | str]:
     Raises:
         InputError: a word without `=`.
     """
-    import re
-
-    from dualdepth.errors import InputError
-
     parameters: dict[str, int | str] = {}
     for pair in pairs:
         key, equals, value = pair.partition("=")
@@ -90,3 +112,20 @@ def parse_parameters(pairs: list[str]) -> dict[str, int | str]:
             raise InputError(f"parameter {pair!r} is not KEY=VALUE")
         parameters[key] = int(value) if re.fullmatch("-?[0-9]{1,18}", value) else value
     return parameters
+
+
+def train(arguments: argparse.Namespace) -> int:
+    """Train and say where the weights are.
+
+    Raises:
+        InputError: a negative seed, or what `train_variant` says.
+    """
+    from dualdepth.device import is_main_process
+    from dualdepth.training.variants import train_variant
+
+    if not 0 <= arguments.seed < 2**32:
+        raise InputError(f"--seed {arguments.seed}: give a whole number from 0 to 4294967295")
+    weights = train_variant(Run(arguments.profile), arguments.variant, arguments.seed)
+    if is_main_process():
+        print(weights)
+    return 0

@@ -4,16 +4,15 @@ Maps are written and read one by one, so that the 697 of the Eigen split need no
 """
 
 import zipfile
-from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from dualdepth.errors import InputError
+from dualdepth.errors import InputError, reading
 from dualdepth.files import atomic_path
 
-FIELD_KEY = "data"
+FIELD_KEY, MEND = "data", "write it with data_scripts/export_depth.py"
 LARGEST = 4 * 10**9
 """Bytes that an array may unpack to: a map of the Eigen split takes 1.9 million, all 697 in one array 1.3 thousand million."""
 
@@ -78,16 +77,6 @@ class DepthMaps(Sequence):
             raise InputError(f"{self.path}: {name} is {depth.dtype} of shape {depth.shape}; expected a float array (height, width)")
         return depth
 
-    def __iter__(self) -> Iterator[np.ndarray]:
-        # the next map is unpacked in a thread while this one is used
-        with ThreadPoolExecutor(1) as reader:
-            ahead = [reader.submit(self.__getitem__, 0)] if len(self) else []
-            for index in range(1, len(self) + 1):
-                depth = ahead.pop().result()
-                if index < len(self):
-                    ahead.append(reader.submit(self.__getitem__, index))
-                yield depth
-
     def __repr__(self) -> str:
         return f"DepthMaps({str(self.path)!r}, {len(self)} maps)"
 
@@ -104,14 +93,10 @@ def load_ground_truth(path: str | Path, *, allow_pickle: bool = False) -> DepthM
         InputError: missing, truncated, no npz, empty, or pickled without `allow_pickle`.
     """
     path = Path(path)
-    try:
-        archive = np.load(path, allow_pickle=allow_pickle, encoding="latin1") if path.is_file() else None
-    except Exception as error:  # of numpy, tokenize and zipfile: ten kinds and more
-        raise InputError(f"{path}: not a readable npz file ({error}); write it with data_scripts/export_depth.py") from None
-    if archive is None:
-        raise InputError(f"{path}: no such file; write it with data_scripts/export_depth.py")
+    with reading(path, MEND):
+        archive = np.load(path, allow_pickle=allow_pickle, encoding="latin1")
     if not isinstance(archive, np.lib.npyio.NpzFile):
-        raise InputError(f"{path}: not an npz file; write it with data_scripts/export_depth.py")
+        raise InputError(f"{path}: not an npz file; {MEND}")
     if not archive.files:
         raise InputError(f"{path}: holds no depth maps")
     pickled = None
@@ -125,10 +110,11 @@ def load_ground_truth(path: str | Path, *, allow_pickle: bool = False) -> DepthM
 def _member(path: Path, archive: "np.lib.npyio.NpzFile", name: str) -> np.ndarray:
     announced = max((info.file_size for info in archive.zip.infolist()), default=0)
     if announced > LARGEST:
-        raise InputError(f"{path}: refused, since it unpacks to {announced / 1e9:.1f} GB; write it with data_scripts/export_depth.py")
-    try:
-        return archive[name]
-    except Exception as error:  # of numpy, zipfile and zlib: ten kinds and more
-        if "allow_pickle" in str(error):
-            raise InputError(f"{path}: {name} is pickled; pass --allow-pickle if you trust the source of this file") from None
-        raise InputError(f"{path}: {name} cannot be read ({error}); the file is damaged, write it again") from None
+        raise InputError(f"{path}: refused, since it unpacks to {announced / 1e9:.1f} GB; {MEND}")
+    with reading(f"{path}: {name}", MEND):
+        try:
+            return archive[name]
+        except ValueError as error:
+            if "allow_pickle" in str(error):
+                raise InputError(f"{path}: {name} is pickled; pass --allow-pickle if you trust the source of this file") from None
+            raise

@@ -4,6 +4,7 @@ Layout, as KITTI unpacks: `ROOT/2011_09_26/calib_cam_to_cam.txt`,
 `ROOT/2011_09_26/2011_09_26_drive_0095_sync/image_02/data/0000000000.png` (or .jpg).
 """
 
+import contextlib
 import io
 import re
 from pathlib import Path
@@ -12,10 +13,11 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from dualdepth.errors import InputError
+from dualdepth.errors import InputError, reading
 
 CAMERA_OF_SIDE = {"l": "image_02", "r": "image_03"}
 SUFFIXES = (".png", ".jpg", ".jpeg")
+AGAIN = "copy or download it again"
 
 
 class Frame(NamedTuple):
@@ -42,40 +44,38 @@ def read_frame_list(path: str | Path) -> list[Frame]:
     Raises:
         InputError: no such file, no frames, or a malformed line, which is named with its number.
     """
-    path = Path(path)
-    frames = []
-    for number, line in numbered_lines(path):
-        match = re.fullmatch(r"(\d{4}_\d{2}_\d{2})/(\1_drive_\d{4}_sync) (\d{1,10})(?: ([lr]))?", line)
-        if not match:
-            raise InputError(f"{path}, line {number}: {line[:80]!r} is not `date/date_drive_XXXX_sync frame l|r`")
-        frames.append(Frame(f"{match[1]}/{match[2]}", int(match[3]), CAMERA_OF_SIDE[match[4] or "l"]))
-    if not frames:
+    pattern = r"(\d{4}_\d{2}_\d{2})/(\1_drive_\d{4}_sync) (\d{1,10})(?: ([lr]))?"
+    lines = _matched_lines(path, pattern, "date/date_drive_XXXX_sync frame l|r")
+    if not lines:
         raise InputError(f"{path}: the list is empty")
-    return frames
+    return [Frame(f"{date}/{drive}", int(index), CAMERA_OF_SIDE[side or "l"]) for date, drive, index, side in lines]
 
 
 def read_static_frames(path: str | Path) -> set[tuple[str, int]]:
     """Read the field's list of frames where the camera stands still, as (drive, index): `date date_drive_XXXX_sync index`."""
-    path = Path(path)
-    static = set()
-    for number, line in numbered_lines(path):
-        match = re.fullmatch(r"(\d{4}_\d{2}_\d{2}) (\1_drive_\d{4}_sync) (\d{1,10})", line)
-        if not match:
-            raise InputError(f"{path}, line {number}: {line[:80]!r} is not `date date_drive_XXXX_sync frame`")
-        static.add((f"{match[1]}/{match[2]}", int(match[3])))
-    return static
+    pattern = r"(\d{4}_\d{2}_\d{2}) (\1_drive_\d{4}_sync) (\d{1,10})"
+    return {(f"{date}/{drive}", int(index)) for date, drive, index in _matched_lines(path, pattern, "date date_drive_XXXX_sync frame")}
 
 
 def read_test_scenes(path: str | Path) -> set[str]:
     """Read the drives that hold test frames (`2011_09_26_drive_0117` a line), as `date/date_drive_XXXX_sync`."""
-    path = Path(path)
-    scenes = set()
-    for number, line in numbered_lines(path):
-        match = re.fullmatch(r"(\d{4}_\d{2}_\d{2})_drive_\d{4}", line)
+    lines = _matched_lines(path, r"((\d{4}_\d{2}_\d{2})_drive_\d{4})", "date_drive_XXXX")
+    return {f"{date}/{drive}_sync" for drive, date in lines}
+
+
+def _matched_lines(path: str | Path, pattern: str, form: str) -> list[tuple]:
+    """Groups of each line, all of which must match.
+
+    Raises:
+        InputError: naming the first line that does not, by its number.
+    """
+    found = []
+    for number, line in numbered_lines(Path(path)):
+        match = re.fullmatch(pattern, line)
         if not match:
-            raise InputError(f"{path}, line {number}: {line[:80]!r} is not `date_drive_XXXX`")
-        scenes.add(f"{match[1]}/{line}_sync")
-    return scenes
+            raise InputError(f"{path}, line {number}: {line[:80]!r} is not `{form}`")
+        found.append(match.groups())
+    return found
 
 
 def numbered_lines(path: Path) -> list[tuple[int, str]]:
@@ -84,10 +84,8 @@ def numbered_lines(path: Path) -> list[tuple[int, str]]:
     Raises:
         InputError: it cannot be read, or is no text.
     """
-    try:
+    with reading(path, "give a text file in UTF-8"):
         text = path.read_text(encoding="utf-8")
-    except (OSError, ValueError) as error:  # ValueError: no UTF-8, or a zero byte in the path
-        raise InputError(f"{path}: cannot read the list ({error})") from None
     return [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
 
 
@@ -131,7 +129,7 @@ def read_image(path: str | Path) -> np.ndarray:
     """
     image = cv2.imdecode(whole_image(path), cv2.IMREAD_COLOR_RGB)
     if image is None:
-        raise InputError(f"{path}: not an image that can be decoded; copy or download it again")
+        raise InputError(f"{path}: not an image that can be decoded; {AGAIN}")
     return image
 
 
@@ -144,15 +142,12 @@ def whole_image(path: str | Path) -> np.ndarray:
     Raises:
         InputError: missing, empty, truncated, no image, with a wrong checksum (PNG), or larger than 179 million pixels.
     """
-    path = Path(path)
-    try:
+    with reading(path, AGAIN):
         data = np.fromfile(path, np.uint8)
-    except OSError as error:
-        raise InputError(f"{path}: cannot read the image ({error.strerror})") from None
     if (data[:2].tobytes() == b"\xff\xd8" and b"\xff\xd9" not in data[-64:].tobytes()) or (
         data[:4].tobytes() == b"\x89PNG" and b"IEND" not in data[-16:].tobytes()
     ):
-        raise InputError(f"{path}: truncated ({data.size} bytes); copy or download it again")
+        raise InputError(f"{path}: truncated ({data.size} bytes); {AGAIN}")
     check_image(path, data)
     return data
 
@@ -160,41 +155,37 @@ def whole_image(path: str | Path) -> np.ndarray:
 def check_image(path: str | Path, data: np.ndarray | bytes) -> None:
     """Refuse what is no image or announces too many pixels, by its header, and a PNG whose checksums are wrong.
 
-    The decoder would tell of the one on stderr as well, and make room for the other.
+    OpenCV would also print to stderr for the first and allocate memory for the second.
 
     Raises:
         InputError: naming `path`, where the bytes are from.
     """
     import PIL.Image
 
-    try:
-        with PIL.Image.open(io.BytesIO(data)) as image:
-            image.verify()
-    except PIL.UnidentifiedImageError:  # whose own message names no file
-        raise InputError(f"{path}: not an image that can be decoded ({len(data)} bytes); copy or download it again") from None
-    except Exception as error:  # Pillow has a kind for each damage
-        raise InputError(f"{path}: not an image that can be decoded ({error}); copy or download it again") from None
+    with reading(path, AGAIN):
+        try:
+            with PIL.Image.open(io.BytesIO(data)) as image:
+                image.verify()
+        except PIL.UnidentifiedImageError:  # whose own message names no file
+            raise InputError(f"{path}: not an image that can be decoded ({len(data)} bytes); {AGAIN}") from None
 
 
 def read_calibration(path: str | Path) -> dict[str, np.ndarray]:
     """Read a `key: numbers` calibration file (`calib_cam_to_cam.txt`, `calib_velo_to_cam.txt`, odometry's `calib.txt`).
 
     Returns:
-        Flat float64 arrays by key; lines that hold no numbers (`calib_time`) are left out.
+        Flat float64 arrays by key; lines that hold no numbers (`calib_time`) are left out. Line n without a key (`calib_p0_p1.txt`) is
+        that of camera n - 1: `P0`, `P1`, …
 
     Raises:
         InputError: the file cannot be read or holds no calibration.
     """
-    path = Path(path)
     values = {}
-    for _, line in numbered_lines(path):
-        key, colon, rest = line.partition(":")
-        try:
-            numbers = np.array([float(x) for x in rest.split()])
-        except ValueError:
-            continue
-        if colon and numbers.size:
-            values[key.strip()] = numbers
+    for number, line in numbered_lines(Path(path)):
+        key, rest = line.split(":", 1) if ":" in line else (f"P{number - 1}", line)
+        with contextlib.suppress(ValueError):
+            values[key.strip()] = np.array([float(x) for x in rest.split()])
+    values = {key: numbers for key, numbers in values.items() if numbers.size}
     if not values:
         raise InputError(f"{path}: holds no `key: numbers` line; give KITTI's own calibration file")
     return values

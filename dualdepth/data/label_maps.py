@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image
 
 from dualdepth.data.kitti import Frame, check_image
-from dualdepth.errors import InputError
+from dualdepth.errors import InputError, reading
 
 CITYSCAPES = (
     *("road", "sidewalk", "building", "wall", "fence", "pole", "traffic light", "traffic sign", "vegetation", "terrain"),
@@ -44,11 +44,9 @@ def read_label_map(path: str | Path) -> np.ndarray:
     Raises:
         InputError: missing, damaged, no PNG, not of one channel with 8 bits, or it holds other ids.
     """
-    path = Path(path)
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot read the label map ({error.strerror}); make it with data_scripts/export_labels.py") from None
+    mend = "make it with data_scripts/export_labels.py"
+    with reading(path, mend):
+        data = Path(path).read_bytes()
     if data[:8] != b"\x89PNG\r\n\x1a\n" or len(data) < 26:
         raise InputError(f"{path}: not a PNG file ({len(data)} bytes); a label map is an 8-bit PNG of one channel")
     bits, colour = data[24:26]  # of the header, since a reader may widen or narrow them
@@ -57,11 +55,8 @@ def read_label_map(path: str | Path) -> np.ndarray:
     if bits != 8:
         raise InputError(f"{path}: has {bits} bits a pixel; give training ids 0 to 18 (Cityscapes' labelTrainIds) in 8 bits")
     check_image(path, data)
-    try:
-        with Image.open(io.BytesIO(data)) as image:
-            labels = np.array(image)
-    except (OSError, SyntaxError, ValueError) as error:
-        raise InputError(f"{path}: cannot be decoded ({error}); the file is damaged, make it again") from None
+    with reading(path, mend), Image.open(io.BytesIO(data)) as image:
+        labels = np.array(image)
     unknown = sorted(set(np.flatnonzero(np.bincount(labels.ravel(), minlength=256)).tolist()) - {*range(len(CITYSCAPES)), IGNORE})
     if unknown:
         raise InputError(

@@ -10,8 +10,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from dualdepth.data.kitti import Frame, calibration_entry, image_path, read_calibration, velodyne_path, whole_image
-from dualdepth.errors import InputError
+from dualdepth.data.kitti import AGAIN, Frame, calibration_entry, image_path, read_calibration, velodyne_path, whole_image
+from dualdepth.errors import InputError, reading
 
 LARGEST_SIDE = 20_000
 """Pixels of an image's side that a calibration may announce."""
@@ -26,16 +26,13 @@ def read_scan(path: str | Path) -> np.ndarray:
     Raises:
         InputError: missing, empty, of a size that is no multiple of 16 bytes, or not finite.
     """
-    path = Path(path)
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot read the laser scan ({error.strerror})") from None
+    with reading(path, AGAIN):
+        data = Path(path).read_bytes()
     if not data or len(data) % 16:
-        raise InputError(f"{path}: {len(data)} bytes are not a laser scan (4 float32 = 16 bytes a point); copy or download it again")
+        raise InputError(f"{path}: {len(data)} bytes are not a laser scan (4 float32 = 16 bytes a point); {AGAIN}")
     scan = np.frombuffer(data, "<f4").reshape(-1, 4)
     if not np.isfinite(scan).all():
-        raise InputError(f"{path}: holds values that are not finite, so it is not a laser scan; copy or download it again")
+        raise InputError(f"{path}: holds values that are not finite, so it is not a laser scan; {AGAIN}")
     return scan
 
 
@@ -130,15 +127,12 @@ def map_size(root: str | Path, frame: Frame) -> tuple[int, int]:
         key = f"S_rect_{frame.camera[-2:]}"
         width, height = calibration_entry(values, key, 2, calibration)
         if not (1 <= width <= LARGEST_SIDE and 1 <= height <= LARGEST_SIDE):
-            raise InputError(f"{calibration}: {key} is {width:g} x {height:g}, which is no size of an image; copy or download it again")
+            raise InputError(f"{calibration}: {key} is {width:g} x {height:g}, which is no size of an image; {AGAIN}")
         return int(height), int(width)
     import PIL.Image
 
-    try:
-        with PIL.Image.open(path) as image:
-            return image.height, image.width
-    except (OSError, SyntaxError, ValueError, PIL.Image.DecompressionBombError) as error:
-        raise InputError(f"{path}: not an image that can be read ({error}); copy or download it again") from None
+    with reading(path, AGAIN), PIL.Image.open(path) as image:
+        return image.height, image.width
 
 
 def improved_path(root: str | Path, frame: Frame) -> Path | None:
@@ -165,5 +159,5 @@ def improved_ground_truth(root: str | Path, frame: Frame) -> np.ndarray:
         raise InputError(f"{root}: has no proj_depth/groundtruth map of {frame}; give the folder that data_depth_annotated.zip unpacks to")
     values = cv2.imdecode(whole_image(path), cv2.IMREAD_UNCHANGED)
     if values is None or values.dtype != np.uint16 or values.ndim != 2:
-        raise InputError(f"{path}: not a 16-bit depth PNG; copy or download it again")
+        raise InputError(f"{path}: not a 16-bit depth PNG; {AGAIN}")
     return values.astype(np.float32) / 256

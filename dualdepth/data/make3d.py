@@ -4,6 +4,7 @@ Layout, as the archives unpack: `ROOT/Test134/img-<name>.jpg` (2272 rows, 1704 c
 One photo of the published set is truncated; the field scores it all the same, so a photo that lacks its end is read as far as it goes.
 """
 
+import contextlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -11,8 +12,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from dualdepth.data.kitti import check_image, read_image
-from dualdepth.errors import InputError
+from dualdepth.data.kitti import AGAIN, check_image, read_image
+from dualdepth.errors import InputError, reading
 
 PHOTO_FOLDERS = ("Test134", "Test134Img")
 GRID_FOLDERS = ("Gridlaserdata", "Test134Depth", "Test134Depth/Gridlaserdata")
@@ -75,15 +76,10 @@ def read_grid(path: str | Path) -> np.ndarray:
     """
     from scipy.io import loadmat
 
-    path = Path(path)
-    try:
-        points = loadmat(path, variable_names=[GRID_KEY])[GRID_KEY]
-    except FileNotFoundError:
-        raise InputError(f"{path}: there is no such laser grid; unpack the archive of the grids anew") from None
-    except KeyError:
-        raise InputError(f"{path}: holds no {GRID_KEY}; give the laser grids of Make3D's test set") from None
-    except Exception as error:  # SciPy has a kind for each damage
-        raise InputError(f"{path}: not a .mat file that can be read ({error}); copy or download it again") from None
+    with reading(path, AGAIN):
+        points = loadmat(path, variable_names=[GRID_KEY]).get(GRID_KEY)
+    if points is None:
+        raise InputError(f"{path}: holds no {GRID_KEY}; give the laser grids of Make3D's test set")
     if points.shape != (*GRID_SHAPE, 4) or points.dtype.kind not in "fiu":
         raise InputError(f"{path}: {GRID_KEY} is {points.dtype} of shape {points.shape}; expected numbers of shape {(*GRID_SHAPE, 4)}")
     return points[..., 3].astype(np.float64)
@@ -98,18 +94,15 @@ def read_photo(path: str | Path) -> np.ndarray:
     Raises:
         InputError: missing, no image, or more than half of it is lacking.
     """
-    path = Path(path)
     if not is_truncated(path):
         return read_image(path)
-    data = np.frombuffer(path.read_bytes() + END_OF_JPEG, np.uint8)
-    try:
+    data, photo = np.frombuffer(Path(path).read_bytes() + END_OF_JPEG, np.uint8), None
+    with contextlib.suppress(InputError):  # not even the header is left
         check_image(path, data)
         photo = cv2.imdecode(data, cv2.IMREAD_COLOR_RGB)
-    except InputError:  # not even the header is left
-        photo = None
     # the decoder fills with mid-grey what it has no data for
     if photo is None or (photo == 128).all(axis=(1, 2)).mean() > 1 - LEAST_LEFT:
-        raise InputError(f"{path}: truncated, less than half of the photo is there ({data.size - 2} bytes); copy or download it again")
+        raise InputError(f"{path}: truncated, less than half of the photo is there ({data.size - 2} bytes); {AGAIN}")
     return photo
 
 
@@ -119,9 +112,7 @@ def is_truncated(path: str | Path) -> bool:
     Raises:
         InputError: it cannot be read.
     """
-    try:
+    with reading(path, AGAIN):
         data = Path(path).read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot read the photo ({error.strerror})") from None
     # the mark of the end never stands within a picture; that of a preview may stand at the file's beginning
     return data[:2] == b"\xff\xd8" and END_OF_JPEG not in data[len(data) // 2 :]

@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dualdepth.data.kitti import SUFFIXES, calibration_entry, numbered_lines, read_calibration
+from dualdepth.data.kitti import SUFFIXES, calibration_entry, read_calibration
 from dualdepth.data.triplets import Triplet
-from dualdepth.errors import InputError
+from dualdepth.errors import InputError, reading
 from dualdepth.files import atomic_path, write_text
 
 RAW_DRIVES = {
@@ -78,22 +78,9 @@ def sequence_intrinsics(root: str | Path, entry: str) -> np.ndarray:
         InputError: no calibration, or none of that camera.
     """
     name, camera = sequence_of(entry)
-    folder, number = Path(root) / "sequences" / name, camera.removeprefix("image_")
-    path = folder / "calib.txt"
-    bare = folder / "calib_p0_p1.txt"
-    if not path.is_file() and bare.is_file():
-        path = bare
-        values = {f"P{line - 1}": _numbers(row) for line, row in numbered_lines(bare)}
-    else:
-        values = read_calibration(path)
-    return calibration_entry(values, f"P{number}", 12, path).reshape(3, 4)[:, :3].copy()
-
-
-def _numbers(row: str) -> np.ndarray:
-    try:
-        return np.array([float(x) for x in row.split()])
-    except ValueError:
-        return np.array([])
+    path, bare = (Path(root) / "sequences" / name / file for file in ("calib.txt", "calib_p0_p1.txt"))
+    path = bare if bare.is_file() and not path.is_file() else path
+    return calibration_entry(read_calibration(path), f"P{camera.removeprefix('image_')}", 12, path).reshape(3, 4)[:, :3].copy()
 
 
 def poses_path(root: str | Path, entry: str) -> Path:
@@ -154,17 +141,14 @@ def load_odometry_triplets(path: str | Path, root: str | Path) -> tuple[list[Tri
         InputError: the file is missing or not such a CSV.
     """
     triplets, sequences = [], []
-    try:
-        with open(path, newline="", encoding="utf-8") as file:
-            for row in csv.DictReader(file):
-                folder = Path(root) / "sequences" / row["sequence"] / row["camera"]
-                fx, fy, cx, cy = (float(row[k]) for k in ("fx", "fy", "cx", "cy"))
-                paths = (folder / row["target"], folder / row["previous"], folder / row["next"])
-                name = f"odometry/{row['sequence']}/{row['camera']}/{int(row['index']):06d}"
-                triplets.append(Triplet(name, paths, np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])))
-                sequences.append(row["sequence"])
-    except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
-        raise InputError(f"{path}: no list of prepared odometry triplets ({error!r}); run notebook 02_prepare_data") from None
+    with reading(path, "run notebook 02_prepare_data"), open(path, newline="", encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            folder = Path(root) / "sequences" / row["sequence"] / row["camera"]
+            fx, fy, cx, cy = (float(row[k]) for k in ("fx", "fy", "cx", "cy"))
+            paths = (folder / row["target"], folder / row["previous"], folder / row["next"])
+            name = f"odometry/{row['sequence']}/{row['camera']}/{int(row['index']):06d}"
+            triplets.append(Triplet(name, paths, np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])))
+            sequences.append(row["sequence"])
     return triplets, sorted(set(sequences))
 
 
@@ -193,13 +177,8 @@ def read_trajectory(path: str | Path) -> Trajectory:
         InputError: naming the file and the line: missing, empty, another number of numbers, text, NaN, no rotation matrix, or frame
             numbers that are not increasing integers.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; {FORMAT}")
-    try:
-        text = path.read_text(encoding="utf-8-sig", errors="replace")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    with reading(path, FORMAT):
+        text = Path(path).read_text(encoding="utf-8-sig", errors="replace")
     lines = [(number, line.split()) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
     if not lines:
         raise InputError(f"{path}: empty; {FORMAT}")

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dualdepth.data.kitti import SUFFIXES, Frame, intrinsics
-from dualdepth.errors import InputError
+from dualdepth.errors import InputError, reading
 from dualdepth.files import atomic_path
 
 
@@ -109,20 +109,23 @@ def missing_files_error(what: str, root: str | Path, missing: Iterable[tuple[Fra
 
 
 def write_targets(path: str | Path, root: str | Path, targets: Iterable[Frame]) -> None:
-    """Write targets as CSV `drive,camera,index,suffix`, atomically; the suffix is looked up once per folder."""
-    suffixes: dict[tuple[str, str], str] = {}
+    """Write targets as CSV `drive,camera,index,suffix`, atomically."""
     with atomic_path(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["drive", "camera", "index", "suffix"])
-        for frame in targets:
-            key = frame.drive, frame.camera
-            if key not in suffixes:
-                suffixes[key] = _suffix(Path(root) / frame.drive / frame.camera / "data", frame)
-            writer.writerow([frame.drive, frame.camera, frame.index, suffixes[key]])
+        writer.writerows([frame.drive, frame.camera, frame.index, suffix] for frame, suffix in with_suffix(root, targets))
 
 
-def _suffix(folder: Path, frame: Frame) -> str:
-    return next((s for s in SUFFIXES if (folder / f"{frame.index:010d}{s}").is_file()), SUFFIXES[0])
+def with_suffix(root: str | Path, targets: Iterable[Frame]) -> list[tuple[Frame, str]]:
+    """Targets and the suffix of their triplets' files, which is looked up once per folder."""
+    suffixes: dict[Path, str] = {}
+    found = []
+    for frame in targets:
+        folder = Path(root) / frame.drive / frame.camera / "data"
+        if folder not in suffixes:
+            suffixes[folder] = next((s for s in SUFFIXES if (folder / f"{frame.index:010d}{s}").is_file()), SUFFIXES[0])
+        found.append((frame, suffixes[folder]))
+    return found
 
 
 def read_targets(path: str | Path) -> list[tuple[Frame, str]]:
@@ -131,23 +134,24 @@ def read_targets(path: str | Path) -> list[tuple[Frame, str]]:
     Raises:
         InputError: the file is missing or not such a CSV.
     """
-    try:
-        with open(path, newline="", encoding="utf-8") as file:
-            return [(Frame(r["drive"], int(r["index"]), r["camera"]), r["suffix"]) for r in csv.DictReader(file)]
-    except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
-        raise InputError(f"{path}: no list of prepared targets ({error!r}); run notebook 02_prepare_data") from None
+    with reading(path, "run notebook 02_prepare_data"), open(path, newline="", encoding="utf-8") as file:
+        return [(Frame(r["drive"], int(r["index"]), r["camera"]), r["suffix"]) for r in csv.DictReader(file)]
+
+
+def triplet_paths(root: str | Path, frame: Frame, suffix: str) -> tuple[Path, Path, Path]:
+    """Image files of a target, its previous and its next frame."""
+    folder = Path(root) / frame.drive / frame.camera / "data"
+    target, previous, following = (folder / f"{frame.index + offset:010d}{suffix}" for offset in (0, -1, 1))
+    return target, previous, following
 
 
 def load_triplets(path: str | Path, root: str | Path) -> list[Triplet]:
     """Prepared triplets with full paths and intrinsics, in the list's order."""
-    root = Path(root)
     cameras: dict[tuple[str, str], np.ndarray] = {}
     triplets = []
     for frame, suffix in read_targets(path):
         key = frame.date, frame.camera
         if key not in cameras:
             cameras[key] = intrinsics(root, *key)
-        folder = root / frame.drive / frame.camera / "data"
-        paths = tuple(folder / f"{frame.index + offset:010d}{suffix}" for offset in (0, -1, 1))
-        triplets.append(Triplet(str(frame), paths, cameras[key]))
+        triplets.append(Triplet(str(frame), triplet_paths(root, frame, suffix), cameras[key]))
     return triplets

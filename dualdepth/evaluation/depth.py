@@ -1,11 +1,10 @@
-"""Depth metrics of the Eigen split, to the last quirk of the field's protocol (PROTOCOLS B1; SfMLearner, monodepth2).
+"""Depth metrics of the Eigen split, to the last quirk of the field's protocol (docs/protocols.md, "Depth on the Eigen split").
 
 Order for each image: resize to the ground truth's size, mask, median ratio, **then** clamp, then the seven metrics; the table has the
-plain mean over images. Arrays are NumPy's or torch's (CPU or GPU); values are compared in float64.
+plain mean over images. Values are compared in float64.
 """
 
 import math
-import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, get_args, get_type_hints
@@ -23,9 +22,6 @@ CROPS = {
     "none": (0.0, 1.0, 0.0, 1.0),
 }
 """Top, bottom, left, right as shares of the ground truth's height and width."""
-
-Array = Any
-"""`numpy.ndarray` or `torch.Tensor`."""
 
 
 @dataclass(frozen=True)
@@ -62,15 +58,15 @@ class Protocol:
 class Pixels(NamedTuple):
     """The valid pixels of one image, P of them, as the metrics see them."""
 
-    ground_truth: Array
+    ground_truth: np.ndarray
     """(P,) float64, metres."""
-    prediction: Array
+    prediction: np.ndarray
     """(P,) float64, metres, scaled and clamped."""
-    index: Array
+    index: np.ndarray
     """(P,) places in the flattened (H, W) map, to look up distance, region or label."""
     scale_ratio: float
     """What the prediction was multiplied by; 1 without median scaling."""
-    unscaled: Array
+    unscaled: np.ndarray
     """(P,) float64, the resized prediction as depth, before it was scaled and clamped."""
 
 
@@ -80,47 +76,35 @@ def crop_box(crop: str, height: int, width: int) -> tuple[slice, slice]:
     return slice(int(top * height), int(bottom * height)), slice(int(left * width), int(right * width))
 
 
-def errors(ground_truth: Array, prediction: Array) -> dict[str, float]:
+def errors(ground_truth: np.ndarray, prediction: np.ndarray) -> dict[str, float]:
     """The seven metrics of paired depths.
 
     Args:
         ground_truth: (P,) metres, positive; P ≥ 1.
-        prediction: (P,) metres, positive, of the same array library.
+        prediction: (P,) metres, positive.
 
     Returns:
         Values by the names in `METRICS`; a1, a2, a3 are shares in [0, 1] with max(gt/p, p/gt) < 1.25^k, strictly.
     """
-    xp = _library(ground_truth)
     difference = ground_truth - prediction
     squared = difference**2
-    ratio = xp.maximum(ground_truth / prediction, prediction / ground_truth)
+    ratio = np.maximum(ground_truth / prediction, prediction / ground_truth)
     values = {
         "abs_rel": (abs(difference) / ground_truth).mean(),
         "sq_rel": (squared / ground_truth).mean(),
         "rmse": squared.mean() ** 0.5,
-        "rmse_log": ((xp.log(ground_truth) - xp.log(prediction)) ** 2).mean() ** 0.5,
+        "rmse_log": ((np.log(ground_truth) - np.log(prediction)) ** 2).mean() ** 0.5,
     }
-    values |= {f"a{k}": xp.asarray(ratio < 1.25**k, dtype=xp.float64).mean() for k in (1, 2, 3)}
+    values |= {f"a{k}": (ratio < 1.25**k).mean() for k in (1, 2, 3)}
     return {name: float(value) for name, value in values.items()}
 
 
-def median(values: Array) -> float:
-    """Median of (P,) values; of an even count the mean of the two middle ones, as NumPy has it (torch takes the lower)."""
-    if _library(values) is np:
-        return float(np.median(values))
-    ordered, count = values.sort().values, values.numel()
-    return float((ordered[(count - 1) // 2] + ordered[count // 2]) / 2)
+def resize_bilinear(values: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Resize (h, w) float values to `size` = (H, W) bilinearly, without anti-aliasing."""
+    return cv2.resize(values, size[::-1], interpolation=cv2.INTER_LINEAR)
 
 
-def resize_bilinear(values: Array, size: tuple[int, int]) -> Array:
-    """Resize (h, w) float values to `size` = (H, W) bilinearly, as `cv2.resize` does, without anti-aliasing."""
-    if _library(values) is np:
-        return cv2.resize(values, size[::-1], interpolation=cv2.INTER_LINEAR)
-    interpolate = sys.modules["torch"].nn.functional.interpolate
-    return interpolate(values[None, None], size, mode="bilinear", align_corners=False)[0, 0]
-
-
-def valid_pixels(prediction: Array, ground_truth: Array, protocol: Protocol) -> Pixels | None:
+def valid_pixels(prediction: np.ndarray, ground_truth: np.ndarray, protocol: Protocol) -> Pixels | None:
     """Pair the valid pixels of one image, with the prediction resized, scaled and clamped by `protocol`.
 
     Args:
@@ -133,39 +117,34 @@ def valid_pixels(prediction: Array, ground_truth: Array, protocol: Protocol) -> 
     Raises:
         InputError: a shape is not two-dimensional, or the prediction is not finite and positive.
     """
-    xp = _library(prediction)
-    if xp is np:
-        prediction = np.asarray(prediction, np.float64 if prediction.dtype.itemsize > 4 else np.float32)
-    else:
-        prediction = prediction.to(xp.float64 if prediction.dtype == xp.float64 else xp.float32)
-        ground_truth = xp.as_tensor(ground_truth, device=prediction.device)
+    prediction = np.asarray(prediction, np.float64 if prediction.dtype.itemsize > 4 else np.float32)
     if prediction.ndim != 2 or ground_truth.ndim != 2 or 0 in prediction.shape:
-        raise InputError(f"shapes {tuple(prediction.shape)} and {tuple(ground_truth.shape)}; expected (height, width) for both")
+        raise InputError(f"shapes {prediction.shape} and {ground_truth.shape}; expected (height, width) for both")
     _check_positive(prediction, protocol.kind)
 
     # compared in the ground truth's own precision: a float32 0.001 is not above 0.001
     above, below = (protocol.min_depth, protocol.max_depth) if protocol.valid == "range" else (0.0, math.inf)
     box = crop_box(protocol.crop, *ground_truth.shape)
-    mask = xp.zeros_like(ground_truth, dtype=xp.bool)
+    mask = np.zeros_like(ground_truth, dtype=bool)
     mask[box] = (ground_truth[box] > above) & (ground_truth[box] < below)
-    index = xp.argwhere(mask.ravel())[:, 0]
+    index = np.flatnonzero(mask)
     if not len(index):
         return None
 
     if protocol.kind != protocol.resize:
         prediction = 1 / prediction
-    prediction = xp.asarray(resize_bilinear(prediction, tuple(ground_truth.shape)).ravel()[index], dtype=xp.float64)
+    prediction = resize_bilinear(prediction, ground_truth.shape).ravel()[index].astype(np.float64)
     if protocol.resize == "disparity":
         prediction = 1 / prediction
-    measured = xp.asarray(ground_truth.ravel()[index], dtype=xp.float64)
+    measured = ground_truth.ravel()[index].astype(np.float64)
 
-    ratio = median(measured) / median(prediction) if protocol.median_scaling else 1.0
-    scaled = xp.clip(prediction * ratio, protocol.min_depth, protocol.max_depth)
+    ratio = float(np.median(measured)) / float(np.median(prediction)) if protocol.median_scaling else 1.0
+    scaled = np.clip(prediction * ratio, protocol.min_depth, protocol.max_depth)
     return Pixels(measured, scaled, index, ratio, prediction)
 
 
 def evaluate(
-    predictions: Sequence[Array] | Array, ground_truths: Iterable[Array], *, name: str = "predictions", **protocol: Any
+    predictions: Sequence[np.ndarray] | np.ndarray, ground_truths: Iterable[np.ndarray], *, name: str = "predictions", **protocol: Any
 ) -> pd.DataFrame:
     """Score predictions against ground truth, image by image.
 
@@ -223,12 +202,7 @@ def summary(frame: pd.DataFrame) -> dict[str, float | int]:
     }
 
 
-def _library(values: Array) -> Any:
-    """NumPy or torch, without importing torch for NumPy arrays."""
-    return np if isinstance(values, np.ndarray) else sys.modules["torch"]
-
-
-def _check_positive(prediction: Array, kind: str) -> None:
+def _check_positive(prediction: np.ndarray, kind: str) -> None:
     lowest, highest = float(prediction.min()), float(prediction.max())
     if not (math.isfinite(lowest) and math.isfinite(highest)):
         raise InputError(f"the {kind} holds NaN or infinite values; predictions must be finite and above 0")

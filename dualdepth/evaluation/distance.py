@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from dualdepth.errors import InputError
-from dualdepth.evaluation.depth import Protocol, errors, median, valid_pixels
+from dualdepth.evaluation.depth import Protocol, errors, valid_pixels
 
 FAR = 20.0
 """Metres: pixels whose ground truth is more than this are distant (paper)."""
@@ -51,7 +51,7 @@ def evaluate_near_far(
                 truth, depth = pixels.ground_truth[mask], pixels.prediction[mask]
                 if own_ratio and settings.median_scaling:
                     raw = pixels.unscaled[mask]
-                    depth = np.clip(raw * (median(truth) / median(raw)), settings.min_depth, settings.max_depth)
+                    depth = np.clip(raw * (np.median(truth) / np.median(raw)), settings.min_depth, settings.max_depth)
                 rows[number, part] = errors(truth, depth) | {"valid_pixels": int(mask.sum())}
     if not rows:
         raise InputError(f"none of the {len(ground_truths)} ground truths has a valid pixel; check the crop and the depth limits")

@@ -1,4 +1,4 @@
-"""Depth metrics on Make3D by criterion C1, as monodepth2's authors scored it (PROTOCOLS B2; paper, table on Make3D).
+"""Depth metrics on Make3D by criterion C1, as monodepth2's authors scored it (docs/protocols.md, "Make3D"; paper, table on Make3D).
 
 The paper only says that photos are resized to the network's input. Both readings are scored on the grid's rows 17:38, the central 21 of 55:
 

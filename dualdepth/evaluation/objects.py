@@ -7,7 +7,7 @@ import numpy as np
 from dualdepth.evaluation.depth import errors
 
 POLE = 5
-"""Cityscapes' training id of poles (PROTOCOLS B7)."""
+"""Cityscapes' training id of poles (docs/protocols.md, "Sharpness")."""
 
 
 def class_errors(

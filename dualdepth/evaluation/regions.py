@@ -10,9 +10,9 @@ from dualdepth.errors import InputError
 from dualdepth.evaluation.depth import Protocol, errors, valid_pixels
 
 REGIONS = {"Road": (0,), "Tree & grass": (8, 9)}
-"""Cityscapes training ids of the paper's regions: with little texture, and with much (PROTOCOLS B7)."""
+"""Cityscapes training ids of the paper's regions: with little texture, and with much (docs/protocols.md, "Regions of SA-Attention")."""
 LEAST = 1
-"""Valid pixels of a region that an image must have to count (PROTOCOLS B1)."""
+"""Valid pixels of a region that an image must have to count."""
 
 
 def evaluate_regions(

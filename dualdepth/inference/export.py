@@ -1,11 +1,10 @@
 """Depth networks as ONNX files: one image in, its disparity out, compared with PyTorch before a file is kept."""
 
-import contextlib
 import importlib.util
 import json
 import logging
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,8 +21,11 @@ from dualdepth.inference.predict import DepthNet, load_depth_net
 from dualdepth.model import UNIT
 from dualdepth.training.weights import load_card
 
+IMAGE, DISPARITY = "image", "disparity"
+"""Names of the graph's input and output."""
 OPSET = 20
 """The operators' version: what torch's exporter writes of itself, without converting."""
+MEND = "try the versions of environment.lock"
 TOLERANCE = 1e-3
 """Largest |ONNX − PyTorch| / PyTorch of a disparity, both in float32. ONNX Runtime's sigmoid is right to 1.7e-7, which is 1.4e-4 of the
 smallest disparities; the rest is for sums in another order. A thousandth is below what any table shows."""
@@ -51,10 +53,23 @@ class Export(NamedTuple):
     size: tuple[int, int]
     """(height, width) of the images."""
     output_size: tuple[int, int]
+    """(height, width) of the disparities."""
     images: int
-    """That were compared."""
+    """Number of images the comparison used."""
     difference: float | None
     """Largest |ONNX − PyTorch| / PyTorch over their pixels; None where ONNX Runtime is not installed."""
+
+
+def require_packages(*names: str) -> None:
+    """Make sure that optional packages are there, without loading them.
+
+    Raises:
+        InputError: one is not, and how to get it.
+    """
+    for name in names:
+        if importlib.util.find_spec(name) is None:
+            install = "`pip install onnx onnxscript onnxruntime` (in the checkout, `make env`)"
+            raise InputError(f"package {name} is not installed; {install} brings it")
 
 
 def export_onnx(weights: str | Path, out: str | Path, frames: Sequence[str | Path] = ()) -> Export:
@@ -74,28 +89,34 @@ def export_onnx(weights: str | Path, out: str | Path, frames: Sequence[str | Pat
     if out.suffix != ".onnx" or out.is_dir():
         raise InputError(f"{out}: is no name for an ONNX file; give --out one that ends in .onnx")
     depth_net = load_depth_net(weights)
-    net = ImageToDisparity(depth_net).eval()
-    images = [_read(path, depth_net.hr_size) for path in frames] or made_up_images(depth_net.hr_size)
+    net, size = ImageToDisparity(depth_net).eval(), depth_net.hr_size
+    images = [_read(path, size) for path in frames] or made_up_images(size)
+    batches = [*(image[None] for image in images), np.stack(images[:3])]
     try:
-        expected = [disparity(net, image[None]) for image in images]
+        with torch.inference_mode():
+            expected = [net(torch.from_numpy(batch)).numpy() for batch in batches]
     except RuntimeError as error:
-        raise InputError(f"{weights}: its network cannot see images of its card's {depth_net.hr_size} ({error}); copy both again") from None
+        raise InputError(f"{weights}: its network cannot see images of its card's {size} ({error}); copy both again") from None
     check_writable(out.parent)
     difference = None
     with atomic_path(out) as partial:
         try:
-            write_onnx(net, depth_net.hr_size, partial, metadata(load_card(weights), depth_net))
+            write_onnx(net, size, partial, metadata(load_card(weights), depth_net))
         except torch.onnx.errors.OnnxExporterError as error:
             reason = str(error.__cause__ or error).partition("\n")[0]
             raise InputError(f"{weights}: torch cannot export encoder {depth_net.architecture.encoder!r} ({reason})") from None
         if importlib.util.find_spec("onnxruntime"):
-            difference = largest_difference(load_onnx(partial), images, expected)
+            try:
+                found = run_onnx(partial, batches)
+            except Exception as error:  # ONNX Runtime's errors have no class in common
+                raise InputError(f"{out}: not written, since ONNX Runtime cannot run it ({str(error)[:200]}); {MEND}") from None
+            difference = float(np.max([np.abs(ours / theirs - 1).max() for ours, theirs in zip(found, expected)]))
             if not difference <= TOLERANCE:
                 raise InputError(
                     f"{out}: not written, since ONNX Runtime's disparities are off PyTorch's by {difference:.2g} of their value, "
-                    f"more than {TOLERANCE:g}; try the versions of environment.lock"
+                    f"more than {TOLERANCE:g}; {MEND}"
                 )
-    return Export(out, depth_net.hr_size, expected[0].shape[-2:], len(images), difference)
+    return Export(out, size, expected[0].shape[-2:], len(images), difference)
 
 
 def write_onnx(net: nn.Module, size: tuple[int, int], path: str | Path, words: dict[str, str]) -> None:
@@ -111,21 +132,24 @@ def write_onnx(net: nn.Module, size: tuple[int, int], path: str | Path, words: d
         torch.onnx.errors.OnnxExporterError: torch has no ONNX form of one of its layers.
     """
     import onnx
+    from onnx_ir.passes.common import ClearMetadataAndDocStringPass
 
-    example = torch.zeros(2, 3, *size)  # a batch of one would be taken for a constant
-    batch = {0: torch.export.Dim("batch")}
-    with _quiet():
+    # the exporter would tell of torchvision, which is not used, and of torch's own old names
+    logging.getLogger("torch.onnx._internal.exporter._registration").setLevel(logging.ERROR)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
         program = torch.onnx.export(
             net,
-            (example,),
+            (torch.zeros(2, 3, *size),),  # a batch of one would be taken for a constant
             dynamo=True,
             opset_version=OPSET,
             input_names=[IMAGE],
             output_names=[DISPARITY],
-            dynamic_shapes=(batch,),
+            dynamic_shapes=({0: torch.export.Dim("batch")},),
             verbose=False,
         )
-    _drop_traces(program.model)
+    ClearMetadataAndDocStringPass()(program.model)  # at each node, torch notes the source files of this machine
+    program.model.metadata_props.clear()
     program.model.metadata_props.update(words)
     program.save(path, external_data=False)
     onnx.checker.check_model(path, full_check=True)
@@ -144,18 +168,15 @@ def metadata(card: dict[str, Any], depth_net: DepthNet) -> dict[str, str]:
     }
 
 
-@torch.inference_mode()
-def disparity(net: nn.Module, images: np.ndarray) -> np.ndarray:
-    """PyTorch's disparities (B, 1, h, w) of images (B, 3, H, W)."""
-    return net(torch.from_numpy(images)).numpy()
+def run_onnx(path: str | Path, batches: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Disparities (B, 1, h, w) of images (B, 3, H, W) that ONNX Runtime computes by a file on the CPU; its errors are of many classes."""
+    import onnxruntime
 
-
-def largest_difference(loaded: OnnxDepthNet, images: Sequence[np.ndarray], expected: Sequence[np.ndarray]) -> float:
-    """Largest |ONNX − PyTorch| / PyTorch over all pixels; each image (3, H, W) alone, and the first three together."""
-    found = [loaded(image[None]) for image in images]
-    together = loaded(np.stack(images[:3]))
-    pairs = [*zip(found, expected), (together, np.concatenate(expected[:3]))]
-    return float(np.max([np.abs(f / e - 1).max() for f, e in pairs]))
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 4  # what goes wrong comes as an exception
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # threads that wait must sleep, as torch's do here
+    session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    return [session.run([DISPARITY], {IMAGE: images})[0] for images in batches]
 
 
 def made_up_images(size: tuple[int, int], count: int = 3) -> list[np.ndarray]:
@@ -170,29 +191,3 @@ def made_up_images(size: tuple[int, int], count: int = 3) -> list[np.ndarray]:
 
 def _read(path: str | Path, size: tuple[int, int]) -> np.ndarray:
     return np.ascontiguousarray(resample(read_image(path), size).transpose(2, 0, 1)) / np.float32(255)
-
-
-def _drop_traces(model: Any) -> None:
-    """Take out what torch notes at each node: the source files of this machine."""
-    model.metadata_props.clear()
-    model.graph.metadata_props.clear()
-    for node in model.graph.all_nodes():
-        node.metadata_props.clear()
-        for value in node.outputs:
-            value.metadata_props.clear()
-    for value in (*model.graph.inputs, *model.graph.initializers.values()):
-        value.metadata_props.clear()
-
-
-@contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Without the exporter's words on torchvision, which is not used, and on torch's own old names."""
-    logger = logging.getLogger("torch.onnx._internal.exporter._registration")
-    level = logger.level
-    logger.setLevel(logging.ERROR)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        logger.setLevel(level)

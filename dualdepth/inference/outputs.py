@@ -1,21 +1,65 @@
 """What is written of an image and its depth: 16-bit PNG, colours, array, point cloud. Each file is whole or absent."""
 
+import math
 from pathlib import Path
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
+from dualdepth.errors import InputError
 from dualdepth.files import atomic_path
-from dualdepth.inference.camera import Camera, point_cloud
 from dualdepth.inference.pictures import Range, colour_picture, side_by_side
 
 PNG_FACTOR = 256
 """A PNG's value / 256 is the depth, as in KITTI's depth maps."""
 SUFFIXES = {"depth": ".depth.png", "colour": ".colour.png", "side": ".side.png", "npy": ".depth.npy", "ply": ".ply"}
 """Endings of an image's results, by kind."""
+COLOURS = ("red", "green", "blue")
 SIDE_VIDEO = ".side.mp4"
 ENDINGS = (*SUFFIXES.values(), SIDE_VIDEO)
+KITTI_FIELD_OF_VIEW = 2 * math.degrees(math.atan(1242 / 2 / 721.5377))
+"""Degrees, horizontal, of KITTI's colour cameras (81.4); the default, since profiles `sample` and `paper` learn from such images."""
+
+
+class Camera(NamedTuple):
+    """How intrinsics are found for an image; the first that is not None counts."""
+
+    intrinsics: tuple[float, float, float, float] | None = None
+    """fx, fy, cx, cy in pixels of the image; pixel (0, 0) is the centre of the first pixel."""
+    focal: float | None = None
+    """fx = fy in pixels of the image, with the principal point in its middle."""
+    field_of_view: float = KITTI_FIELD_OF_VIEW
+    """Degrees, horizontal."""
+
+    def check(self) -> "Camera":
+        """This camera.
+
+        Raises:
+            InputError: a number is not finite, a focal length not positive, or the field of view not between 0 and 180 degrees.
+        """
+        lengths = [*(self.intrinsics or ())[:2], *([] if self.focal is None else [self.focal])]
+        if not all(math.isfinite(value) and value > 0 for value in lengths) or not all(map(math.isfinite, self.intrinsics or ())):
+            raise InputError(f"intrinsics {list(self.intrinsics or lengths)}: focal lengths must be positive and all numbers finite")
+        if not 0 < self.field_of_view < 180:
+            raise InputError(f"field of view {self.field_of_view}: must be between 0 and 180 degrees")
+        return self
+
+    def of(self, size: tuple[int, int]) -> tuple[float, float, float, float]:
+        """fx, fy, cx, cy of an image of `size` (height, width)."""
+        if self.intrinsics:
+            return self.intrinsics
+        height, width = size
+        focal = self.focal or width / 2 / math.tan(math.radians(self.field_of_view) / 2)
+        return focal, focal, (width - 1) / 2, (height - 1) / 2
+
+    def __str__(self) -> str:
+        if self.intrinsics:
+            return "fx {} fy {} cx {} cy {} as given".format(*self.intrinsics)
+        if self.focal:
+            return f"focal length {self.focal} pixels as given, principal point in the middle"
+        by = "by default, as KITTI's" if self.field_of_view == KITTI_FIELD_OF_VIEW else "as given"
+        return f"horizontal field of view {self.field_of_view:.1f} degrees {by}, principal point in the middle"
 
 
 class Style(NamedTuple):
@@ -75,7 +119,13 @@ def _save_png16(path: Path, depth: np.ndarray, style: Style) -> None:
 
 
 def _save_ply(path: Path, image: np.ndarray, depth: np.ndarray, style: Style) -> None:
-    points = point_cloud(depth, image, style.camera.of(depth.shape))
+    """All pixels as points, row by row; x right, y down, z forward."""
+    fx, fy, cx, cy = style.camera.of(depth.shape)
+    rows, columns = np.indices(depth.shape, np.float32)
+    points = np.empty(depth.shape, [*((axis, "<f4") for axis in "xyz"), *((colour, "u1") for colour in COLOURS)])
+    points["x"], points["y"], points["z"] = (columns - cx) / fx * depth, (rows - cy) / fy * depth, depth
+    for channel, colour in enumerate(COLOURS):
+        points[colour] = image[..., channel]
     about = " ".join(style.about.encode("ascii", "replace").decode().split())
     header = [
         "ply",
@@ -85,7 +135,7 @@ def _save_ply(path: Path, image: np.ndarray, depth: np.ndarray, style: Style) ->
         f"comment {about}",
         f"element vertex {points.size}",
         *(f"property float {axis}" for axis in "xyz"),
-        *(f"property uchar {colour}" for colour in ("red", "green", "blue")),
+        *(f"property uchar {colour}" for colour in COLOURS),
         "end_header\n",
     ]
     with path.open("wb") as file:

@@ -38,7 +38,7 @@ def load_depth_net(weights: str | Path) -> DepthNet:
     """
     card = load_card(weights)
     try:
-        architecture = Architecture.of_card(card)
+        architecture = Architecture.of_card({name: card[name] for name in Architecture.model_fields})  # a training's card has them all
         size = _frame_size(card["hr_size"])
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(

@@ -2,11 +2,13 @@
 
 import os
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import nullcontext
 from itertools import groupby, islice
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import cv2
 import numpy as np
@@ -16,14 +18,13 @@ from tqdm import tqdm
 from dualdepth.data.frames import Video
 from dualdepth.data.kitti import read_image
 from dualdepth.errors import InputError
-from dualdepth.inference.ahead import ahead
-from dualdepth.inference.journal import Journal, identity
+from dualdepth.inference.journal import Journal, Task, identity, recipe
 from dualdepth.inference.outputs import Style, save
 from dualdepth.inference.pictures import Range, side_by_side
-from dualdepth.inference.tasks import Task, recipe
 from dualdepth.inference.videos import Writer, video_writer
 from dualdepth.model import DepthModel
 
+A, B = TypeVar("A"), TypeVar("B")
 GPU_BATCH = 16
 """Images at a time on a GPU, halved until they fit; on a CPU one at a time is as fast as several."""
 
@@ -107,11 +108,8 @@ class Predictor:
         except InputError as error:
             return self.tell(str(error))
         singles = tuple(kind for kind in task.kinds if kind != "side")
-        if "side" in task.kinds:
-            with video_writer(self.out / task.file("side"), video.rate) as writer:
-                count = self._frames(task, video, singles, writer, pool, most)
-        else:
-            count = self._frames(task, video, singles, None, pool, most)
+        with video_writer(self.out / task.file("side"), video.rate) if "side" in task.kinds else nullcontext() as writer:
+            count = self._frames(task, video, singles, writer, pool, most)
         trouble = f"{video.missing}, and its results hold those" if video.missing else None
         self._note(task, was, task.kinds, frames=count, **({"trouble": trouble} if trouble else {}))
         if trouble:
@@ -168,6 +166,17 @@ class Predictor:
         about = {"unit": self.style.unit, "about": self.style.about, "device": str(self.model.device), "precision": self.model.precision}
         self.journal.note(task.path, task.name, made, was, **about, **facts)
         self.made += 1
+
+
+def ahead(pool: Executor, work: Callable[[A], B], items: Iterable[A], most: int) -> Iterator[B]:
+    """`map(work, items)` by a pool, with at most `most` items taken that were not yet given on."""
+    pending = deque()
+    for item in items:
+        pending.append(pool.submit(work, item))
+        if len(pending) >= most:
+            yield pending.popleft().result()
+    while pending:
+        yield pending.popleft().result()
 
 
 def _read(task: Task) -> Item:

@@ -16,10 +16,10 @@ WIDEST = 3840
 
 
 class Writer:
-    """Takes frames (H, W, 3) uint8 RGB of one size; see `video_writer`."""
+    """Takes frames (H, W, 3) uint8 RGB; see `video_writer`. The first one's size, made even, is the video's."""
 
     def __init__(self, path: Path, rate: float) -> None:
-        self.path, self.rate, self.count, self._file = path, rate, 0, None
+        self.path, self.rate, self.count, self.file = path, rate, 0, cv2.VideoWriter()
 
     def write(self, frame: np.ndarray) -> None:
         """Append a frame; odd sizes, which the codec has not, get their last row or column twice.
@@ -30,51 +30,32 @@ class Writer:
         if frame.shape[1] > WIDEST:
             size = (WIDEST, max(2, round(frame.shape[0] * WIDEST / frame.shape[1])))
             frame = cv2.resize(frame, size, interpolation=cv2.INTER_AREA)
-        height, width = frame.shape[:2]
-        frame = cv2.copyMakeBorder(frame, 0, height % 2, 0, width % 2, cv2.BORDER_REPLICATE)
-        if self._file is None:
-            self.size = frame.shape[1::-1]
-            self._file = cv2.VideoWriter(str(self.path), cv2.CAP_FFMPEG, cv2.VideoWriter_fourcc(*CODEC), self.rate, self.size)
-            if not self._file.isOpened():
-                raise OSError(f"OpenCV cannot write {CODEC} video of {self.size[0]}×{self.size[1]}")
-        if frame.shape[1::-1] != self.size:  # the bar's words may be wider than those of the first frame
-            frame = _fit(frame, self.size)
-        self._file.write(np.ascontiguousarray(frame[..., ::-1]))
+        if self.count == 0:
+            height, width = self.size = tuple(side + side % 2 for side in frame.shape[:2])
+            if not self.file.open(str(self.path), cv2.CAP_FFMPEG, cv2.VideoWriter_fourcc(*CODEC), self.rate, (width, height)):
+                raise OSError(f"OpenCV cannot write {CODEC} video of {width}×{height}")
+        frame = frame[: self.size[0], : self.size[1]]  # the bar's words may be wider than those of the first frame, or narrower
+        missing = np.subtract(self.size, frame.shape[:2])
+        frame = cv2.copyMakeBorder(frame, 0, missing[0], 0, missing[1], cv2.BORDER_REPLICATE)
+        self.file.write(np.ascontiguousarray(frame[..., ::-1]))
         self.count += 1
-
-    def release(self) -> None:
-        """Let go of the file, however it is."""
-        if self._file is not None:
-            self._file.release()
-
-    def close(self) -> None:
-        """End the file; the codec tells of no full disk, so its frames are counted.
-
-        Raises:
-            OSError: not all were written.
-        """
-        self.release()
-        capture = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG)
-        written = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
-        capture.release()
-        if written != self.count:
-            raise OSError(f"{written} of {self.count} frames were written; is the disk full?")
 
 
 @contextlib.contextmanager
 def video_writer(path: Path, rate: float) -> Iterator[Writer]:
-    """A writer whose file is whole or absent."""
+    """A writer whose file, of `rate` frames a second, is whole or absent.
+
+    Raises:
+        OSError: not all frames were written; the codec tells of no full disk, so they are counted.
+    """
     with atomic_path(path) as partial:
         writer = Writer(partial, rate)
         try:
             yield writer
-        except BaseException:
-            writer.release()
-            raise
-        writer.close()
-
-
-def _fit(frame: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """A frame cut or filled at its right and lower edges to `size` (width, height)."""
-    frame = frame[: size[1], : size[0]]
-    return cv2.copyMakeBorder(frame, 0, size[1] - frame.shape[0], 0, size[0] - frame.shape[1], cv2.BORDER_REPLICATE)
+        finally:
+            writer.file.release()
+        capture = cv2.VideoCapture(str(partial), cv2.CAP_FFMPEG)
+        written = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        capture.release()
+        if written != writer.count:
+            raise OSError(f"{written} of {writer.count} frames were written; is the disk full?")

@@ -1,1 +1,8 @@
 """The networks: LR-Net and its encoders, HR-Net, SA-Attention, PoseNet. They know nothing of data or training."""
+
+from typing import Literal
+
+Network = Literal["lr", "single", "dual", "hr"]
+Link = Literal["attention", "embedding", "direct"]
+Similarity = Literal["dot", "cosine", "l1", "l2"]
+Normalise = Literal["none", "mean", "softmax"]

@@ -1,18 +1,14 @@
 """Which depth network it is, in words that fit into a weights' card, and how it is built from them; torch is loaded only to build one."""
 
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from dualdepth.errors import first_mistake
+from dualdepth.networks import Link, Network, Normalise, Similarity
 
 if TYPE_CHECKING:
     from torch import nn
-
-Network = Literal["lr", "single", "dual", "hr"]
-Link = Literal["attention", "embedding", "direct"]
-Similarity = Literal["dot", "cosine", "l1", "l2"]
-Normalise = Literal["none", "mean", "softmax"]
 
 
 class Design(BaseModel):

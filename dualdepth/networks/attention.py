@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from dualdepth.networks.architecture import Normalise, Similarity
+from dualdepth.networks import Normalise, Similarity
 
 WIDTH = 128
 """Channels of the embedding f′; fitted to the paper's overhead table."""

@@ -4,7 +4,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from dualdepth.networks.architecture import Link, Normalise, Similarity
+from dualdepth.networks import Link, Normalise, Similarity
 from dualdepth.networks.attention import WIDTH, SelfAssembledAttention
 from dualdepth.networks.decoder import Decoder, DepthOutput
 from dualdepth.networks.encoders import make_encoder

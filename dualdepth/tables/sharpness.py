@@ -39,7 +39,7 @@ def sharpness_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
     """The paper's two rows, and ours for each map, size and threshold: mean Tenengrad and the ratio w/ over w/o HR-Net.
 
     Means and standard deviations are over seeds. `closest` marks the reading whose ratio is nearest to the paper's; the numbers
-    themselves cannot be compared (PROTOCOLS B6).
+    themselves cannot be compared (docs/protocols.md, "Sharpness").
     """
     missing = [variant for variant in ROWS if variant not in run.profile.train]
     if missing or not run.profile.data.has_truth:

@@ -3,6 +3,7 @@
 import contextlib
 import signal
 import time
+import traceback
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -122,12 +123,12 @@ class Trainer:
                 batch).
             SystemExit: SIGTERM came; a checkpoint was written first.
         """
+        batches = one_line_errors(self._loader())
         log = TrainingLog(self.folder, self.start, tqdm.write) if self.main else None
         self.model.train()
         began = time.perf_counter()
         name = f"{self.folder.parent.name} {self.folder.name}"
         bar = tqdm(total=self.total, initial=self.start, desc=name, unit="step", disable=not self.main)
-        batches = one_line_errors(self._loader())
         with bar, contextlib.closing(batches), StopRequest(self.accelerator) as stop:
             for step in range(self.start + 1, self.total + 1):
                 logged = step % self.settings.log_every == 0 or step in (1, self.total)
@@ -233,11 +234,15 @@ class Trainer:
 
 
 def one_line_errors(loader: DataLoader) -> Iterator[dict[str, Any]]:
-    """The loader's batches; a bad image met by a worker process is told without the worker's traceback."""
+    """The loader's batches; a bad image met by a worker process is told without the worker's traceback. At any error the workers end."""
     try:
         yield from loader
-    except InputError as error:
-        raise InputError(str(error).rsplit("InputError: ", 1)[-1].strip()) from None
+    except BaseException as error:
+        # they hold the loader's iterator, whose workers end with it alone; this process would wait for them for ever
+        traceback.clear_frames(error.__traceback__)
+        if isinstance(error, InputError):
+            raise InputError(str(error).rsplit("InputError: ", 1)[-1].strip()) from None
+        raise
 
 
 class StopRequest:

@@ -57,14 +57,14 @@ def test_a_malformed_line_is_named_with_its_file_and_number(listed, line):
 def test_an_empty_and_a_missing_list_are_named(listed, tmp_path):
     with pytest.raises(InputError, match=r"list\.txt: the list is empty"):
         read_frame_list(listed("\n\n"))
-    with pytest.raises(InputError, match=r"nowhere\.txt: cannot read"):
+    with pytest.raises(InputError, match=r"nowhere\.txt: no such file"):
         read_frame_list(tmp_path / "nowhere.txt")
 
 
 def test_a_binary_file_as_list_is_named(tmp_path):
     path = tmp_path / "list.txt"
     path.write_bytes(b"\xff\xfe\x00\x80" * 20)
-    with pytest.raises(InputError, match=r"list\.txt: cannot read"):
+    with pytest.raises(InputError, match=r"list\.txt: cannot be read"):
         read_frame_list(path)
 
 
@@ -103,12 +103,11 @@ def test_grey_is_repeated_over_three_channels(tmp_path, suffix):
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg"])
-@pytest.mark.parametrize("share", [0.1, 0.5, 0.99])
-def test_a_truncated_image_is_an_error_and_not_half_a_picture(tmp_path, suffix, share):
+def test_a_truncated_image_is_an_error_and_not_half_a_picture(tmp_path, suffix):
     path = tmp_path / f"a{suffix}"
     cv2.imwrite(str(path), wall(96, 160))
     whole = path.read_bytes()
-    path.write_bytes(whole[: int(len(whole) * share)])
+    path.write_bytes(whole[: len(whole) // 2])
     with pytest.raises(InputError, match=rf"a\{suffix}: truncated"):
         read_image(path)
 
@@ -122,7 +121,7 @@ def test_what_is_no_image_is_named(tmp_path, content):
 
 
 def test_a_missing_image_is_named(tmp_path):
-    with pytest.raises(InputError, match=r"a\.png: cannot read the image"):
+    with pytest.raises(InputError, match=r"a\.png: no such file"):
         read_image(tmp_path / "a.png")
 
 
@@ -171,10 +170,12 @@ def test_a_file_without_numbers_is_no_calibration(tmp_path, text):
         read_calibration(path)
 
 
-def test_a_calibration_entry_keeps_its_numbers(tmp_path):
+def test_a_calibration_entry_keeps_its_numbers_and_rows_without_names_are_cameras(tmp_path):
     path = tmp_path / "calib.txt"
-    path.write_text("T: 1.5e-01 -2 3\n")
-    assert calibration_entry(read_calibration(path), "T", 3, path).tolist() == [0.15, -2, 3]
+    path.write_text("4 5\nT: 1.5e-01 -2 3\n\n6 7\nR: a b\n")
+    values = read_calibration(path)
+    assert calibration_entry(values, "T", 3, path).tolist() == [0.15, -2, 3]
+    assert values.keys() == {"P0", "T", "P3"} and values["P3"].tolist() == [6, 7]
 
 
 def test_a_root_must_hold_date_folders(tmp_path):

@@ -1,27 +1,28 @@
-"""Odometry on disk: which triplets there are, with which camera, and what a user is told."""
-
-from pathlib import Path
+"""Odometry on disk: which triplets there are, with which camera; pose files, both forms; and what a user is told."""
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from small_kitti import write_sequence
 
 from data_scripts.sources import drive_archives
 from dualdepth.data import odometry
 from dualdepth.data.odometry import (
+    Trajectory,
     check_odometry_root,
     drives_of,
     frame_files,
     load_odometry_triplets,
+    pair_frames,
     poses_path,
+    read_trajectory,
     sequence_intrinsics,
     write_odometry_index,
+    write_trajectory,
 )
 from dualdepth.errors import InputError
-from dualdepth.run import project_root
 
-SHARED = project_root().parent / "shared" / "data" / "kitti_odometry"
-needs_kitti = pytest.mark.skipif(not SHARED.is_dir(), reason="real KITTI odometry (../shared/data) is not here")
+IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0"
 
 
 @pytest.fixture
@@ -47,6 +48,14 @@ def test_the_camera_is_read_from_either_kind_of_calibration(root, entry):
     np.testing.assert_array_equal(sequence_intrinsics(root, entry), expected)
     write_odometry_index(root / "odometry.csv", root, [entry])
     np.testing.assert_array_equal(load_odometry_triplets(root / "odometry.csv", root)[0][0].intrinsics, expected)
+
+
+def test_triplets_of_broken_frames_are_left_out(root):
+    broken = {root / "sequences/00/image_2/000003.png", root / "sequences/06/image_0/000000.png"}
+    assert write_odometry_index(root / "odometry.csv", root, ["00"], broken) == 2
+    assert [t.name[-6:] for t in load_odometry_triplets(root / "odometry.csv", root)[0]] == ["000001", "000006"]
+    with pytest.raises(InputError, match="sequences/06/image_0: no three consecutive"):
+        write_odometry_index(root / "odometry.csv", root, ["06:image_0"], broken)
 
 
 def test_the_index_changes_with_the_calibration(root):
@@ -77,10 +86,10 @@ def test_two_frames_are_no_triplet(root):
     assert not (root / "odometry.csv").exists()
 
 
-@pytest.mark.parametrize(("text", "said"), [("1 2 x\n", "has no P0|must be 12"), ("", "has no P0")])
-def test_a_bad_calibration_is_named(root, text, said):
+@pytest.mark.parametrize("text", ["1 2 x\n", "1 2 3\n", "", f"P1: {IDENTITY}\n"])
+def test_a_bad_calibration_is_named(root, text):
     (root / "sequences/06/calib_p0_p1.txt").write_text(text)
-    with pytest.raises(InputError, match=f"calib_p0_p1.txt.*({said})"):
+    with pytest.raises(InputError, match=r"calib_p0_p1\.txt: "):
         sequence_intrinsics(root, "06:image_0")
 
 
@@ -103,19 +112,164 @@ def test_sequences_are_raw_drives_of_kitti_and_streets_of_the_world():
     drive_archives(list(odometry.RAW_DRIVES.values()))  # all of them names of raw drives
 
 
-@needs_kitti
-def test_which_sequences_are_eigen_test_drives():
-    """PROTOCOLS B3, computed from the lists: 00, 04, 05 and 07 are; 09 and 10 are training drives."""
-    lists = Path(SHARED).parent / "splits"
-    tested = {line.split()[0] for line in (lists / "monodepth2/eigen/test_files.txt").read_text().splitlines()}
-    trained = {line.split()[0] for line in (lists / "monodepth2/eigen_zhou/train_files.txt").read_text().splitlines()}
+def test_which_sequences_are_eigen_test_drives(real):
+    """By the field's own lists: 00, 04, 05 and 07 are; 09 and 10 are training drives."""
+    lists = real("splits/monodepth2")
+    tested = {line.split()[0] for line in (lists / "eigen/test_files.txt").read_text().splitlines()}
+    trained = {line.split()[0] for line in (lists / "eigen_zhou/train_files.txt").read_text().splitlines()}
     assert {name for name, drive in odometry.RAW_DRIVES.items() if drive in tested} == {"00", "04", "05", "07"}
     assert {name for name, drive in odometry.RAW_DRIVES.items() if drive in trained} >= {"01", "02", "06", "08", "09", "10"}
 
 
-@needs_kitti
-def test_the_real_sequence_06_is_grey_and_has_its_own_calibration(tmp_path):
-    assert write_odometry_index(tmp_path / "odometry.csv", SHARED, ["06:image_0", "02"]) == 49 + 18
-    matrix = sequence_intrinsics(SHARED, "06:image_0")
-    np.testing.assert_allclose(matrix[[0, 1, 0, 1], [0, 1, 2, 2]], [707.0912, 707.0912, 601.8873, 183.1104])
-    assert poses_path(SHARED, "06:image_0").is_file()
+def test_real_sequences_are_read_by_what_their_folder_holds(real, tmp_path):
+    root = real("kitti_odometry")
+    entries = sorted(f"{path.parent.name}:{path.name}" for path in root.glob("sequences/*/image_*"))
+    files = [{int(path.stem) for path in root.glob(f"sequences/{entry.replace(':', '/')}/*.*")} for entry in entries]
+    assert write_odometry_index(tmp_path / "odometry.csv", root, entries) == sum({i - 1, i + 1} <= there for there in files for i in there)
+    for entry in entries:
+        (fx, _, cx), (_, fy, cy), _ = sequence_intrinsics(root, entry)
+        assert fx == fy and 0.5 < fx / cx / 2 < 0.7 and cy < cx
+        assert poses_path(root, entry).is_file()
+
+
+def random_poses(count, seed=0):
+    rng = np.random.default_rng(seed)
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    poses[:, :3, :3] = Rotation.random(count, rng=rng).as_matrix()
+    poses[:, :3, 3] = rng.normal(0, 100, (count, 3))
+    return poses
+
+
+def trajectory(frames, indexed=True):
+    return Trajectory(np.array(frames), random_poses(len(frames)), indexed)
+
+
+def test_a_line_is_the_3x4_matrix_row_by_row(tmp_path):
+    (tmp_path / "a.txt").write_text("0 -1 0 5 1 0 0 6 0 0 1 7\n\n1.0e+00 0 0 1 0 1 0 2 0 0 1 -3.5\r\n\n")
+    read = read_trajectory(tmp_path / "a.txt")
+    assert read.frames.tolist() == [0, 1] and not read.indexed
+    assert read.poses.dtype == np.float64
+    assert read.poses[0].tolist() == [[0, -1, 0, 5], [1, 0, 0, 6], [0, 0, 1, 7], [0, 0, 0, 1]]
+    assert read.poses[1, :3, 3].tolist() == [1, 2, -3.5]
+
+
+@pytest.mark.parametrize("numbers", [("2", "3", "70"), ("2.000000e+00", "3.0", "7e1")])
+def test_a_13th_number_in_front_is_the_frame(tmp_path, numbers):
+    (tmp_path / "a.txt").write_text("".join(f"{n} 1 0 0 {i} 0 1 0 0 0 0 1 0\n" for i, n in enumerate(numbers)))
+    read = read_trajectory(tmp_path / "a.txt")
+    assert read.indexed and read.frames.tolist() == [2, 3, 70] and read.frames.dtype.kind == "i"
+    assert read.poses[:, 0, 3].tolist() == [0, 1, 2]
+
+
+@pytest.mark.parametrize("frames", [None, np.array([4, 5, 9])])
+def test_what_is_written_is_read_without_loss(tmp_path, frames):
+    poses = random_poses(3)
+    write_trajectory(tmp_path / "new" / "a.txt", poses, frames)
+    read = read_trajectory(tmp_path / "new" / "a.txt")
+    np.testing.assert_array_equal(read.poses, poses)
+    assert read.frames.tolist() == ([0, 1, 2] if frames is None else [4, 5, 9]) and read.indexed == (frames is not None)
+    widths = {len(line.split()) for line in (tmp_path / "new" / "a.txt").read_text().splitlines()}
+    assert widths == {12 if frames is None else 13}
+    assert [p.name for p in (tmp_path / "new").iterdir()] == ["a.txt"]
+
+
+def test_what_cannot_be_written_leaves_the_old_file(tmp_path):
+    write_trajectory(tmp_path / "a.txt", random_poses(2))
+    before = (tmp_path / "a.txt").read_bytes()
+    with pytest.raises(InputError, match="3 frame numbers but 2 poses"):
+        write_trajectory(tmp_path / "a.txt", random_poses(2), [0, 1, 2])
+    assert (tmp_path / "a.txt").read_bytes() == before
+    with pytest.raises(InputError, match=r"b\.txt: cannot write the poses"):
+        write_trajectory(tmp_path / "a.txt" / "b.txt", random_poses(2))
+
+
+@pytest.mark.parametrize("text", ["{:.6f}", "{:.6e}", "{:.5f}"])
+def test_rotations_of_six_decimals_pass(tmp_path, text):
+    poses = random_poses(500)
+    rows = [" ".join(text.format(v) for v in pose[:3].ravel()) for pose in poses]
+    (tmp_path / "a.txt").write_text("\n".join(rows))
+    np.testing.assert_allclose(read_trajectory(tmp_path / "a.txt").poses, poses, atol=1e-4)
+
+
+def test_long_products_of_float32_rotations_pass(tmp_path):
+    step = Rotation.from_euler("yxz", [0.01, 0.003, -0.002]).as_matrix().astype(np.float32)
+    poses = np.tile(np.eye(4, dtype=np.float32), (4500, 1, 1))
+    for k in range(1, len(poses)):
+        poses[k, :3, :3] = poses[k - 1, :3, :3] @ step
+    write_trajectory(tmp_path / "a.txt", poses)
+    assert len(read_trajectory(tmp_path / "a.txt").frames) == 4500
+
+
+BAD = {
+    "empty": ("\n \n", "a.txt: empty; a KITTI pose file holds"),
+    "eleven": (f"{IDENTITY}\n1 0 0 0 0 1 0 0 0 0 1\n", "line 2: 11 numbers; a KITTI pose file holds the 12"),
+    "matrix 4x4": (f"{IDENTITY} 0 0 0 1\n", "line 1: 16 numbers"),
+    "tum": ("0.0 1 2 3 0 0 0 1\n", "line 1: 8 numbers, which look like TUM's position and quaternion; give KITTI's 3x4 matrices"),
+    "tum without time": ("1 2 3 0 0 0 1\n", "line 1: 7 numbers, which look like TUM's"),
+    "nan": (f"{IDENTITY}\n\n1 0 0 nan 0 1 0 0 0 0 1 0\n", "line 3: NaN, infinite or beyond 1e+09"),
+    "inf": ("1 0 0 0 0 1 0 -inf 0 0 1 0\n", "line 1: NaN, infinite"),
+    "overflow": ("1 0 0 0 0 1 0 1e200 0 0 1 0\n", "line 1: NaN, infinite or beyond"),
+    "text": (f"{IDENTITY}\n1 0 0 x 0 1 0 0 0 0 1 0\n", "line 2: 'x' is no number"),
+    "commas": (IDENTITY.replace(" ", ","), "line 1: '1,0,0,0,0,1,0,0,0,0,' is no number; a KITTI pose file holds"),
+    "mixed, index later": (f"{IDENTITY}\n1 {IDENTITY}\n", "line 2: 13 numbers, but the first line has 12"),
+    "mixed, index first": (f"0 {IDENTITY}\n{IDENTITY}\n", "line 2: 12 numbers, but the first line has 13"),
+    "scaled rotation": (f"{IDENTITY}\n1.01 0 0 0 0 1.01 0 0 0 0 1.01 0\n", "line 2: the left 3x4 columns are no rotation"),
+    "mirrored": ("-1 0 0 0 0 1 0 0 0 0 1 0\n", "line 1: the left 3x4 columns are no rotation"),
+    "zeros": ("0 " * 12, "line 1: the left 3x4 columns are no rotation"),
+    "column by column": ("1 0 0 0 1 0 0 0 1 4 5 6\n", "line 1: the left 3x4 columns are no rotation"),
+    "half a frame": (f"0 {IDENTITY}\n1.5 {IDENTITY}\n", "line 2: the frame number, the first of 13, is no integer"),
+    "negative frame": (f"-1 {IDENTITY}\n", "line 1: the frame number, the first of 13, is no integer from 0 up"),
+    "frame twice": (f"3 {IDENTITY}\n3 {IDENTITY}\n", "line 2: the frame number is not above the one before"),
+    "backwards": (f"3 {IDENTITY}\n4 {IDENTITY}\n2 {IDENTITY}\n", "line 3: the frame number is not above the one before"),
+}
+
+
+@pytest.mark.parametrize("case", list(BAD))
+def test_bad_files_are_one_line_with_file_and_line(tmp_path, case):
+    text, says = BAD[case]
+    (tmp_path / "a.txt").write_text(text)
+    with pytest.raises(InputError) as error:
+        read_trajectory(tmp_path / "a.txt")
+    message = str(error.value)
+    assert message.startswith(str(tmp_path / "a.txt")) and says in message and "\n" not in message
+
+
+def test_no_file_and_no_text_file(tmp_path):
+    for path, said in ((tmp_path / "absent.txt", "no such file"), (tmp_path, "Is a directory")):
+        with pytest.raises(InputError, match=f"{path}: .*{said}"):
+            read_trajectory(path)
+    (tmp_path / "a.txt").write_bytes(bytes(range(256)) * 4)
+    with pytest.raises(InputError, match=r"a\.txt, line 1: .* is no number"):
+        read_trajectory(tmp_path / "a.txt")
+
+
+def test_frame_numbers_pair_the_poses():
+    prediction, truth = trajectory([2, 3, 5, 9]), trajectory(range(8), indexed=False)
+    frames, poses, true_poses = pair_frames(prediction, truth)
+    assert frames.tolist() == [2, 3, 5]
+    np.testing.assert_array_equal(poses, prediction.poses[:3])
+    np.testing.assert_array_equal(true_poses, truth.poses[[2, 3, 5]])
+
+
+def test_without_frame_numbers_there_is_a_pose_for_each_true_one():
+    prediction, truth = trajectory(range(3), indexed=False), trajectory([5, 6, 8])
+    frames, poses, true_poses = pair_frames(prediction, truth)
+    assert frames.tolist() == [5, 6, 8]
+    np.testing.assert_array_equal(poses, prediction.poses)
+    np.testing.assert_array_equal(true_poses, truth.poses)
+
+
+def test_trajectories_that_do_not_fit_are_named():
+    names = ("p.txt", "g.txt")
+    with pytest.raises(InputError, match=r"p\.txt has 5 poses but g\.txt has 8"):
+        pair_frames(trajectory(range(5), indexed=False), trajectory(range(8), indexed=False), names)
+    with pytest.raises(InputError, match=r"p\.txt has frames 8 to 9 and g\.txt 0 to 7: none in common"):
+        pair_frames(trajectory([8, 9]), trajectory(range(8), indexed=False), names)
+
+
+def test_published_files_are_read(real):
+    read = read_trajectory(real("kitti_odometry/predictions/example_0/09.txt"))
+    assert read.indexed and read.frames.tolist() == list(range(2, 1591))
+    truth = read_trajectory(real("kitti_odometry/poses/09.txt"))
+    assert not truth.indexed and len(truth.poses) == 1591
+    assert len(pair_frames(read, truth)[0]) == 1589

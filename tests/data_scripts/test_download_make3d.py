@@ -1,4 +1,4 @@
-"""The download of Make3D, run in-process against a server on loopback that holds a toy test set."""
+"""What is Make3D's own of its download; the rest is in test_download_kitti.py. In-process, against a server with a toy test set."""
 
 import hashlib
 import io
@@ -6,7 +6,6 @@ import json
 import shutil
 import socket
 import tarfile
-from types import SimpleNamespace
 
 import cv2
 import loopback
@@ -110,25 +109,6 @@ def test_a_second_run_asks_the_network_nothing_and_a_deleted_folder_comes_again(
     assert {path for _, path, _, _ in server.requests} == {GRIDS} and len(find_pairs(tmp_path)) == 3
 
 
-def test_a_cut_download_is_taken_up_by_the_next_run(server, tmp_path, capsys):
-    server.cuts = [4000, 0, 0, 0]
-    assert "the connection keeps breaking" in fails(server, tmp_path, capsys)
-    assert files(tmp_path) == [f"archives/{PHOTOS}.part", f"archives/{PHOTOS}.part.etag"]
-    assert run(server, tmp_path) == 0
-    assert len(server.files[PHOTOS]) - 4000 in server.sent
-
-
-def test_archives_are_kept_on_demand(server, tmp_path):
-    run(server, tmp_path, "--keep-archives")
-    assert files(tmp_path / "archives") == [PHOTOS, GRIDS]
-
-
-def test_a_disk_that_is_too_small_is_told_before_anything_is_downloaded(server, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=1000))
-    assert "missing; free some" in fails(server, tmp_path, capsys)
-    assert server.sent == [] and files(tmp_path) == []
-
-
 BAD = {
     "photos missing": (PHOTOS, lambda: tar_of({"img-a.jpg": photo(0)}), "holds 1 files img-*.jpg, expected 3"),
     "no photo": (PHOTOS, lambda: tar_of(photos(**{"img-b-p-002t000.jpg": b"no photo"})), "img-b-p-002t000.jpg: not an image"),
@@ -143,7 +123,7 @@ BAD = {
         lambda: tar_of(grids(**{f"Gridlaserdata/depth_sph_corr-{NAMES[2]}.mat": grid(2, key="x")})),
         "holds no Position3DGrid",
     ),
-    "cut": (GRIDS, lambda: tar_of(grids())[:-2000], "not a whole gzipped tar archive"),
+    "cut": (GRIDS, lambda: tar_of(grids())[:-2000], "not a whole zip or gzipped tar archive"),
     "outside": (GRIDS, lambda: tar_of({"../depth_sph_corr-a.mat": grid(0)}), "points outside of the folder"),
 }
 
@@ -166,20 +146,9 @@ def test_photos_and_grids_that_do_not_fit_together_are_named(server, tmp_path, c
     assert "img-a-p-001t000.jpg has no grid, depth_sph_corr-x.mat has no photo" in fails(server, tmp_path, capsys)
 
 
-def test_an_archive_that_is_not_there_any_more_is_told_before_anything_is_downloaded(server, tmp_path, capsys):
-    del server.files[GRIDS]
-    assert f"{GRIDS}: not there (HTTP 404)" in fails(server, tmp_path, capsys)
-    assert server.sent == []
-
-
 def test_without_a_network_the_mend_is_named(server, tmp_path, capsys, monkeypatch):
     def no_network(*_, **__):
         raise socket.gaierror("name or service not known")
 
     monkeypatch.setattr(socket, "getaddrinfo", no_network)
     assert fails(server, tmp_path, capsys).endswith("if you have Make3D, give MAKE3D_ROOT")
-
-
-def test_a_root_that_cannot_be_a_folder_is_told(server, tmp_path, capsys):
-    (tmp_path / "file").write_text("")
-    assert "is not a folder that can be written" in fails(server, tmp_path / "file" / "make3d", capsys)

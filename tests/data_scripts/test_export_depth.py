@@ -11,11 +11,9 @@ import pytest
 from data_scripts import export_depth
 from dualdepth.data.depth_maps import load_ground_truth
 from dualdepth.data.kitti import read_frame_list
-from dualdepth.data.lidar import ground_truth
+from dualdepth.data.lidar import ground_truth, map_size
 
-REPOSITORY = Path(__file__).parents[2]
-SCRIPT = REPOSITORY / "data_scripts" / "export_depth.py"
-REAL = REPOSITORY.parent / "shared" / "data"
+SCRIPT = Path(export_depth.__file__)
 DRIVE = "2011_09_26/2011_09_26_drive_0001_sync"
 
 
@@ -128,13 +126,11 @@ def test_improved_maps_are_exported_without_the_raw_data(kitti, capsys):
     assert "drive_0001_sync/image_02/0000000005" in fails(capsys, "--improved", "annotated")
 
 
-def test_real_frames_from_the_shell(tmp_path):
-    if not REAL.is_dir():
-        pytest.skip("no real KITTI frames beside the repository (../shared/data)")
-    out, frames = tmp_path / "G.npz", REAL / "splits" / "sample_val.txt"
-    command = [sys.executable, SCRIPT, "--kitti", REAL / "kitti_raw", "--list", frames, "--out", out]
-    done = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False)
+def test_real_frames_from_the_shell(real, tmp_path):
+    out, root, frames = tmp_path / "G.npz", real("kitti_raw"), real("splits/sample_val.txt")
+    command = [sys.executable, SCRIPT, "--kitti", root, "--list", frames, "--out", out]
+    done = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    maps = load_ground_truth(out)
-    assert len(maps) == 28
-    assert all(depth.shape == (375, 1242) and 15_000 < np.count_nonzero(depth) < 25_000 for depth in maps)
+    listed, maps = read_frame_list(frames), load_ground_truth(out)
+    assert [depth.shape for depth in maps] == [map_size(root, frame) for frame in listed]
+    assert all(15_000 < np.count_nonzero(depth) < 25_000 for depth in maps)

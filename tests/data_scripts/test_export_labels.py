@@ -207,7 +207,7 @@ def test_both_cameras_of_a_frame_would_have_one_map(kitti_root, capsys):
 
 
 def test_a_damaged_image_an_odd_device_and_a_batch_of_none_are_named(capsys):
-    assert "--device nothing: not usable" in fails(capsys, "--device", "nothing")
+    assert "device 'nothing' is not to be had" in fails(capsys, "--device", "nothing")
     assert "--batch-size 0" in fails(capsys, "--batch-size", "0")
     path = Path("kitti", DRIVE, "image_02/data/0000000003.png")
     path.write_bytes(path.read_bytes()[:100])

@@ -12,10 +12,9 @@ from data_scripts.own import dataset
 from dualdepth.data.kitti import intrinsics, read_frame_list, read_image
 from dualdepth.data.triplets import load_triplets
 from dualdepth.errors import InputError
-from dualdepth.run import Run, project_root
+from dualdepth.run import Run
 from dualdepth.tables.scoring import scored_frames, truth
 
-SHARED = project_root().parent / "shared" / "data"
 GIVEN = {"intrinsics": "205,205,127.5,107.5"}
 TRAIN, SHOWN = dataset.drive_name(1), dataset.drive_name(2)
 
@@ -27,13 +26,11 @@ def folder(tmp_path):
 
 
 @pytest.fixture
-def run(tmp_path):
-    """A run of the profile `own` in a project folder, of the film's size."""
-    (tmp_path / "project/notebooks").mkdir(parents=True)
-    (tmp_path / "project/Snakefile").touch()
+def run(tmp_path, checkout):
+    """A run of the profile `own`, of the film's size."""
     profile = tmp_path / "own.yaml"
     profile.write_text("about: a test\ndata: {source: own, hr_size: [192, 192]}\n")
-    return Run(str(profile), tmp_path / "project")
+    return Run(str(profile), checkout)
 
 
 def images(root, drive):
@@ -149,7 +146,8 @@ def test_a_failed_check_is_one_line_and_anyway_makes_it_all_the_same(tmp_path, c
     [
         ({}, "give one of --intrinsics .* --chessboard .* or --fov"),
         ({"fov": 64, "intrinsics": "205,205,127,107"}, "give one of"),
-        ({"intrinsics": "no.txt"}, r"no\.txt: cannot read the calibration"),
+        ({"intrinsics": "no.txt"}, r"no\.txt: no such file"),
+        ({"fov": 64, "stride": 0}, "--stride 0: give a whole number"),
         ({"intrinsics": "1,2"}, "give fx,fy,cx,cy"),
         ({"chessboard": "film", "squares": "nine"}, "--squares 'nine': give the board's squares"),
         ({"chessboard": "film", "squares": "9x6"}, "the whole board of 9x6 was found in 0 of 40 views"),
@@ -184,18 +182,17 @@ def test_a_profile_of_another_shape_or_without_a_data_set_is_told_what_to_do(fol
         prepare_data.find_data(run, str(kitti_root))
 
 
-@pytest.mark.skipif(not SHARED.is_dir(), reason="real KITTI (../shared/data) is not here")
-def test_sequence_06_of_real_kitti_becomes_a_data_set(tmp_path):
-    sequence = SHARED / "kitti_odometry/sequences/06"
+def test_sequence_06_of_real_kitti_becomes_a_data_set(real, tmp_path):
+    sequence = real("kitti_odometry/sequences/06")
     made = own_camera.make([sequence / "image_0"], tmp_path / "out", intrinsics=str(sequence / "calib_p0_p1.txt"))
-    assert made.record["triplets"] == 41 and made.record["hr_size"] == [384, 1248]
+    there = len(list((sequence / "image_0").iterdir()))
+    assert made.record["frames"]["used"] == there and made.record["triplets"] == there - made.record["drives"][-1]["frames"] - 3 - 2
     assert images(made.root, TRAIN)[3].read_bytes() == (sequence / "image_0/000003.png").read_bytes()
-    assert intrinsics(made.root, dataset.DATE)[0, 0] == pytest.approx(707.0912)
+    assert intrinsics(made.root, dataset.DATE)[0, 0] == pytest.approx(707.0912) and made.record["hr_size"] == [384, 1248]
 
 
-@pytest.mark.skipif(not SHARED.is_dir(), reason="real KITTI (../shared/data) is not here")
-def test_a_video_of_drive_0095_becomes_a_data_set(tmp_path):
-    files = sorted((SHARED / "kitti_raw/2011_09_26/2011_09_26_drive_0095_sync/image_02/data").iterdir())[:40]
+def test_a_video_of_drive_0095_becomes_a_data_set(real, tmp_path):
+    files = sorted(real("kitti_raw/2011_09_26/2011_09_26_drive_0095_sync/image_02/data").iterdir())[:40]
     video = write_video(tmp_path / "drive.mp4", [cv2.resize(read_image(file), (828, 250)) for file in files])
     made = own_camera.make([video], tmp_path / "out", fov=81.4)
-    assert made.record["stride"] == 1 and made.record["frames"]["used"] == 40 and made.record["hr_size"] == [192, 672]
+    assert made.record["stride"] == 1 and made.record["frames"]["used"] == len(files) and made.record["hr_size"] == [192, 672]

@@ -1,8 +1,9 @@
 """From a folder of KITTI frames to triplets, frames to score and ground truth; and what a user is told when something is missing."""
 
 import json
-from pathlib import Path
+from collections import Counter
 
+import cv2
 import numpy as np
 import pytest
 from small_kitti import write_sequence
@@ -10,21 +11,17 @@ from small_kitti import write_sequence
 from data_scripts import prepare_data
 from dualdepth.cli import main as command
 from dualdepth.data.depth_maps import load_ground_truth
+from dualdepth.data.kitti import read_frame_list, read_image
 from dualdepth.errors import InputError
-from dualdepth.run import Run, project_root
-
-SHARED = project_root().parent / "shared" / "data"
-needs_kitti = pytest.mark.skipif(not SHARED.is_dir(), reason="real KITTI frames (../shared/data) are not here")
+from dualdepth.run import Run
+from dualdepth.training.variants import training_data
 
 TRAIN, TEST = "2011_09_26/2011_09_26_drive_0001_sync", "2011_09_26/2011_09_26_drive_0002_sync"
 
 
 @pytest.fixture
-def project(tmp_path, kitti_factory, write_scan):
-    """A project folder with its own profile, and a KITTI root with a training and a test drive."""
-    root = tmp_path / "project"
-    (root / "notebooks").mkdir(parents=True)
-    (root / "Snakefile").touch()
+def project(tmp_path, checkout, kitti_factory, write_scan):
+    """A run of a profile of its own, a KITTI root with a training and a test drive, and the list of the frames to score."""
     kitti = kitti_factory({TRAIN: range(6), TEST: range(3)})
     write_scan(kitti, TEST, 0)
     write_scan(kitti, TEST, 2)
@@ -32,7 +29,7 @@ def project(tmp_path, kitti_factory, write_scan):
     test_list.write_text(f"{TEST} 0000000000 l\n{TEST} 0000000002 l\n")
     profile = tmp_path / "own.yaml"
     profile.write_text(f"about: a test\ndata: {{source: kitti, train_drives: [{TRAIN}], test_list: {test_list}}}\n")
-    return Run(str(profile), root), kitti, test_list
+    return Run(str(profile), checkout), kitti, test_list
 
 
 def prepared(project):
@@ -102,7 +99,7 @@ def test_a_drive_without_frames_is_named(project):
         ("--kitti-root", "nowhere", "KITTI_ROOT nowhere is not a folder"),
         ("--kitti-root", ".", "holds no 2011"),
         ("--profile", "mini", "profile 'mini' not found: choose one of miniature"),
-        ("--test-list", "nowhere.txt", "nowhere.txt: cannot read the list"),
+        ("--test-list", "nowhere.txt", "nowhere.txt: no such file"),
         ("--seeds", "0;1", "seeds '0;1': give whole numbers from 0 up between commas"),
     ],
 )
@@ -114,38 +111,81 @@ def test_reproduce_refuses_bad_arguments_in_one_line(option, value, said, capsys
     assert error.startswith("error: ") and said in error and error.count("\n") == 1
 
 
-def test_a_world_has_no_use_for_a_kitti_root(tmp_path):
-    root = tmp_path / "project"
-    (root / "notebooks").mkdir(parents=True)
-    (root / "Snakefile").touch()
-    with pytest.raises(InputError, match="profile tiny makes its own data"):
-        prepare_data.find_data(Run("tiny", root), kitti_root="somewhere")
-
-
-@needs_kitti
-def test_the_sample_profile_on_real_frames(tmp_path):
-    root = tmp_path / "project"
-    (root / "notebooks").mkdir(parents=True)
-    (root / "Snakefile").touch()
-    run = Run("sample", root)
-    prepare_data.find_data(run, str(SHARED / "kitti_raw"), str(SHARED / "splits" / "sample_val.txt"))
-    assert prepare_data.prepare(run) == (266, 28, 28, 0, 0)
+def test_the_sample_profile_on_real_frames(real, checkout):
+    run, root, listed = Run("sample", checkout), real("kitti_raw"), real("splits/sample_val.txt")
+    there = [{int(path.stem) for path in (root / drive / "image_02/data").iterdir()} for drive in run.profile.data.train_drives]
+    triplets, scored = sum({i - 1, i + 1} <= numbers for numbers in there for i in numbers), len(read_frame_list(listed))
+    prepare_data.find_data(run, str(root), str(listed))
+    assert prepare_data.prepare(run) == (triplets, scored, scored, 0, 0)
     density = [np.mean(depth > 0) for depth in load_ground_truth(run.prepared / "ground_truth.npz")]
     assert min(density) > 0.02
 
 
-@needs_kitti
-def test_grey_frames_are_read_where_a_drive_has_no_colour(tmp_path):
-    root = tmp_path / "project"
-    (root / "notebooks").mkdir(parents=True)
-    (root / "Snakefile").touch()
-    run = Run("sample_grey", root)
-    sources = prepare_data.find_data(run, str(SHARED / "kitti_raw"), str(SHARED / "splits" / "sample_val.txt"))
-    targets = prepare_data.training_targets(run, sources)
-    # 400 frames, of which 23 is missing: no triplet has it
-    assert sum(frame.camera == "image_00" for frame in targets) == 400 - 2 - 2
-    assert not [f for f in targets if f.camera == "image_00" and abs(f.index - 23) <= 1]
-    assert Path(sources.kitti_root).is_dir()
+def image_of(kitti, drive, index):
+    return kitti / drive / f"image_02/data/{index:010d}.png"
+
+
+def cut(path):
+    path.write_bytes(path.read_bytes()[:100])
+
+
+def test_every_frame_is_decoded_once(project, monkeypatch):
+    seen = Counter()
+    monkeypatch.setattr(prepare_data, "read_image", lambda path: seen.update([path]) or read_image(path))
+    prepared(project)
+    _, kitti, _ = project
+    assert seen == Counter([*(image_of(kitti, TRAIN, k) for k in range(6)), image_of(kitti, TEST, 0), image_of(kitti, TEST, 2)])
+
+
+def spoil_cut(path):
+    cut(path)
+    return f"{path}: truncated"
+
+
+def spoil_size(path):
+    cv2.imwrite(str(path), read_image(path)[:90, :100])
+    return f"{path}: has 100×90 pixels, most of its folder 208×208"
+
+
+def spoil_suffix(path):
+    path.rename(path.with_suffix(".jpg"))
+    return f"{path}: no such file"
+
+
+@pytest.mark.parametrize("spoil", [spoil_cut, spoil_size, spoil_suffix])
+def test_triplets_of_broken_frames_are_left_out_and_all_such_frames_named_in_one_line(project, capsys, spoil):
+    run, kitti, _ = project
+    said = [spoil(image_of(kitti, TRAIN, index)) for index in (5, 3)]
+    assert prepared(project).triplets == 1
+    told = [line for line in capsys.readouterr().out.splitlines() if "broken" in line]
+    assert len(told) == 1 and told[0].startswith("2 frames are broken") and all(words in told[0] for words in said)
+    triplets, drives = training_data(run, "lr")  # what a training and its card go by
+    assert [triplet.name[-10:] for triplet in triplets] == ["0000000001"] and drives == [TRAIN]
+
+
+def test_a_broken_frame_to_score_is_refused_beside_all_others(project):
+    run, kitti, _ = project
+    spoilt = [image_of(kitti, TEST, 2), image_of(kitti, TRAIN, 0)]
+    for path in spoilt:
+        cut(path)
+    with pytest.raises(InputError, match="1 frames to score are broken, and 1 others") as error:
+        prepared(project)
+    assert all(str(path) in str(error.value) for path in spoilt) and not run.prepared.exists()
+
+
+def test_frames_to_score_may_have_several_sizes(project):
+    _, kitti, _ = project
+    spoil_size(image_of(kitti, TEST, 2))
+    assert prepared(project).scored == 2
+
+
+def test_without_a_whole_triplet_nothing_is_prepared(project):
+    run, kitti, _ = project
+    for index in (1, 4):
+        cut(image_of(kitti, TRAIN, index))
+    with pytest.raises(InputError, match="kitti: all 4 triplets have broken frames"):
+        prepared(project)
+    assert not run.prepared.exists()
 
 
 @pytest.fixture
@@ -175,6 +215,17 @@ def test_odometry_triplets_are_written_where_they_are_trained_on(with_odometry):
     assert prepare_data.prepare(run).odometry == 0 and not (run.prepared / "odometry.csv").exists()
 
 
+def test_broken_frames_of_odometry_are_named_and_left_out_too(with_odometry, project, capsys):
+    make, root = with_odometry
+    spoilt = [root / "sequences/00/image_2/000004.png", image_of(project[1], TRAIN, 0)]
+    for path in spoilt:
+        cut(path)
+    done = prepare_data.prepare(make())
+    assert (done.odometry, done.triplets) == (2, 3)
+    told = capsys.readouterr().out
+    assert told.startswith("2 frames are broken") and all(str(path) in told for path in spoilt)
+
+
 def test_a_scored_sequence_must_be_there_with_its_poses(with_odometry):
     make, root = with_odometry
     with pytest.raises(InputError, match="sequences/10/image_2: no images"):
@@ -192,8 +243,10 @@ def test_a_sequence_or_drive_that_is_trained_on_is_scored_only_if_allowed(with_o
 
 
 def test_the_world_has_its_own_folders_and_takes_no_others(tmp_path):
-    with pytest.raises(InputError, match="ODOMETRY_ROOT and LABELS_ROOT belong to sample"):
+    with pytest.raises(InputError, match="profile tiny makes its own data: ODOMETRY_ROOT and LABELS_ROOT belong to sample"):
         prepare_data.find_data(Run("tiny", tmp_path), odometry_root="a", labels_root="b")
+    with pytest.raises(InputError, match="profile tiny makes its own data: KITTI_ROOT"):
+        prepare_data.find_data(Run("tiny", tmp_path), kitti_root="somewhere")
 
 
 @pytest.mark.parametrize(

@@ -4,10 +4,8 @@ import os
 
 import pytest
 
-from dualdepth.inference.camera import Camera
-from dualdepth.inference.journal import LONGEST, Journal, identity
-from dualdepth.inference.outputs import Style
-from dualdepth.inference.tasks import plan, recipe
+from dualdepth.inference.journal import LONGEST, Journal, identity, plan, recipe
+from dualdepth.inference.outputs import Camera, Style
 
 STYLE = Style("about")
 

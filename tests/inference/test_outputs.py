@@ -9,8 +9,7 @@ import pytest
 from small_kitti import wall
 
 from dualdepth.errors import InputError
-from dualdepth.inference.camera import Camera
-from dualdepth.inference.outputs import SUFFIXES, Style, png16, save
+from dualdepth.inference.outputs import SUFFIXES, Camera, Style, png16, save
 from dualdepth.inference.pictures import SMALLEST, Range, colour_picture, colours, side_by_side
 
 STYLE = Style("Depth is relative. Learned by a 3×3 net.")

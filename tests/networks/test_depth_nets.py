@@ -1,12 +1,49 @@
-"""LR-Net and its decoder: sizes, ranges, and the paper's overhead."""
+"""LR-Net, HR-Net and the dual network: the paper's overhead, sizes, a frozen LR-Net that sees the 3×3 average, and what it hands over."""
+
+from typing import get_args
 
 import pytest
 import torch
 from torch import nn
 
 from dualdepth.evaluation.cost import count
-from dualdepth.networks.decoder import Decoder
-from dualdepth.networks.depth_nets import LRNet
+from dualdepth.networks import Link
+from dualdepth.networks.attention import SelfAssembledAttention
+from dualdepth.networks.depth_nets import HR_WIDTHS, DualNet, HREncoder, HRNet, LRNet
+
+SMALL, SIZE = (64, 96), (192, 288)
+GLOBAL = 16
+DEEPEST = 64
+LINKS = get_args(Link)
+
+
+def image(seed=0, items=1, size=SIZE):
+    return torch.rand(items, 3, *size, generator=torch.Generator().manual_seed(seed))
+
+
+def averaged(image):
+    """3×3 means, one after the other."""
+    return torch.stack([image[..., row::3, column::3] for row in range(3) for column in range(3)]).double().mean(0).float()
+
+
+def given_to(module):
+    """Arguments that a module is handed from now on, as a list that grows."""
+    seen = []
+    module.register_forward_pre_hook(lambda _module, arguments: seen.append(arguments))
+    return seen
+
+
+def million(number):
+    return round(number / 1e6, 3)
+
+
+def without_gradient(net, output):
+    """Parameters that a sum of all outputs does not depend on."""
+    (sum(d.sum() for d in output.disparities) + output.features.sum()).backward()
+    return [name for name, p in net.named_parameters() if p.grad is None or not p.grad.any()]
+
+
+# LR-Net
 
 
 @pytest.mark.parametrize(
@@ -17,75 +54,285 @@ from dualdepth.networks.depth_nets import LRNet
         ("resnet50", (128, 416), 29.951, 6.229),
     ],
 )
-def test_parameters_and_macs_are_those_fitted_to_the_papers_overhead_table(encoder, size, params_m, gmacs):
+def test_parameters_and_macs_of_lr_net_are_those_fitted_to_the_papers_overhead_table(encoder, size, params_m, gmacs):
     cost = count(LRNet(encoder), torch.zeros(1, 3, *size, device="meta"))
-    assert (round(cost.params / 1e6, 3), round(cost.macs / 1e9, 3)) == (params_m, gmacs)
-
-
-@pytest.fixture(scope="module")
-def decoder():
-    torch.manual_seed(0)
-    return Decoder((4, 8, 8, 16, 32)).eval()
-
-
-def maps(channels=(4, 8, 8, 16, 32), size=(64, 96), seed=0):
-    rng = torch.Generator().manual_seed(seed)
-    return [torch.randn(2, c, size[0] >> s, size[1] >> s, generator=rng) for s, c in enumerate(channels, 1)]
-
-
-def test_disparities_come_at_four_scales_with_sixteen_full_size_features(decoder):
-    output = decoder(maps())
-    assert [tuple(d.shape) for d in output.disparities] == [(2, 1, 64 >> s, 96 >> s) for s in range(4)]
-    assert output.features.shape == (2, 16, 64, 96)
-
-
-@pytest.mark.parametrize("scales", [1, 2, 3])
-def test_fewer_scales_give_the_finest_ones(decoder, scales):
-    all_four = decoder(maps()).disparities
-    found = decoder(maps(), scales).disparities
-    assert len(found) == scales
-    assert all(torch.equal(a, b) for a, b in zip(found, all_four))
-
-
-def test_disparity_is_ten_times_the_sigmoid_plus_a_hundredth(decoder):
-    decoder = Decoder((4, 8, 8, 16, 32))
-    for head in decoder.heads:
-        nn.init.zeros_(head.weight)
-    for bias, disparity in ((0.0, 5.01), (-200.0, 0.01), (200.0, 10.01)):
-        for head in decoder.heads:
-            nn.init.constant_(head.bias, bias)
-        assert all(torch.allclose(d, torch.tensor(disparity)) for d in decoder(maps()).disparities)
-
-
-def test_disparities_are_float32_under_bfloat16(decoder):
-    with torch.autocast("cpu", torch.bfloat16):
-        output = decoder(maps())
-    assert output.features.dtype == torch.bfloat16
-    assert all(d.dtype == torch.float32 for d in output.disparities)
-    assert len(output.disparities[0].unique()) > 1000
-
-
-@pytest.mark.parametrize("level", range(5))
-def test_every_map_of_the_encoder_is_used(decoder, level):
-    changed = maps()
-    changed[level] = changed[level] + 1
-    assert not torch.allclose(decoder(changed).disparities[0], decoder(maps()).disparities[0])
-
-
-def test_a_missing_stride_2_map_is_left_out():
-    decoder = Decoder((None, 8, 8, 16, 32))
-    given = maps()
-    assert decoder([None, *given[1:]]).disparities[0].shape == (2, 1, 64, 96)
-
-
-def test_flat_maps_give_flat_disparities_up_to_the_border(decoder):
-    flat = [m[..., :1, :1].expand_as(m) for m in maps()]
-    for disparity in decoder(flat).disparities:
-        assert torch.allclose(disparity, disparity[..., :1, :1].expand_as(disparity), atol=1e-5)
+    assert (million(cost.params), million(cost.macs / 1e3)) == (params_m, gmacs)
 
 
 def test_gradients_reach_every_parameter_of_lr_net():
     net = LRNet("resnet18")
-    output = net(torch.rand(2, 3, 64, 64))
-    (sum(d.sum() for d in output.disparities) + output.features.sum()).backward()
-    assert [name for name, p in net.named_parameters() if p.grad is None or not p.grad.any()] == []
+    assert without_gradient(net, net(image(items=2, size=(64, 64)))) == []
+
+
+# HR-Net
+
+
+@pytest.fixture(scope="module")
+def hr_net():
+    """In eval mode, with the batch norm statistics of a trained network, so that a zero at the border would show."""
+    net = HRNet(GLOBAL)
+    torch.manual_seed(0)
+    for module in net.modules():
+        if isinstance(module, nn.BatchNorm2d):
+            nn.init.normal_(module.running_mean, std=0.3)
+            nn.init.uniform_(module.running_var, 0.5, 2)
+            nn.init.normal_(module.bias, std=0.3)
+    return net.eval()
+
+
+def small(seed=0):
+    return image(seed, 2, SMALL)
+
+
+def features(seed=0):
+    return torch.randn(2, GLOBAL, SMALL[0] // 32, SMALL[1] // 32, generator=torch.Generator().manual_seed(seed))
+
+
+def test_hr_nets_maps_have_strides_2_to_32_and_the_declared_widths():
+    with torch.inference_mode():
+        maps = HREncoder().eval()(small())
+    assert HR_WIDTHS == (32, 64, 128, 128, 128)
+    assert [tuple(m.shape) for m in maps] == [(2, c, SMALL[0] // s, SMALL[1] // s) for c, s in zip(HR_WIDTHS, (2, 4, 8, 16, 32))]
+
+
+def test_each_stage_of_hr_net_has_a_strided_and_a_plain_convolution_with_batch_norm():
+    by_hand = sum(9 * i * o + 9 * o * o + 2 * 2 * o for i, o in zip((3, *HR_WIDTHS), HR_WIDTHS))
+    assert sum(p.numel() for p in HREncoder().parameters()) == by_hand
+
+
+def test_images_go_into_hr_net_between_minus_one_and_one():
+    encoder = HREncoder().eval()
+    seen = given_to(encoder.stages[0])
+    with torch.inference_mode():
+        encoder(torch.tensor([0.0, 0.5, 1.0]).view(1, 3, 1, 1).expand(1, 3, *SMALL))
+    assert torch.equal(seen[0][0][0, :, 0, 0], torch.tensor([-1.0, 0.0, 1.0]))
+
+
+def test_a_flat_image_has_flat_disparities_up_to_the_border(hr_net):
+    """Zeros beyond the border would show as a frame."""
+    with torch.inference_mode():
+        flat = torch.tensor([0.9, 0.4, 0.1]).view(1, 3, 1, 1).expand(2, 3, *SMALL)
+        maps = hr_net.encoder(flat)
+        disparities = hr_net(flat, 4, features()[..., :1, :1].expand(features().shape)).disparities
+    for found in (*maps, *disparities):
+        assert found.abs().max() > 1e-3
+        assert torch.allclose(found, found[..., :1, :1].expand_as(found), rtol=1e-3, atol=1e-4 * found.abs().max().item())
+
+
+def test_hr_nets_disparities_come_at_four_scales_and_fewer_are_the_same_to_the_bit(hr_net):
+    with torch.inference_mode():
+        output = hr_net(small(), 4, features())
+        fewer = [hr_net(small(), scales, features()) for scales in (1, 2, 3)]
+    assert [tuple(d.shape) for d in output.disparities] == [(2, 1, SMALL[0] >> s, SMALL[1] >> s) for s in range(4)]
+    assert output.features.shape == (2, 16, *SMALL)
+    assert [len(f.disparities) for f in fewer] == [1, 2, 3]
+    assert all(torch.equal(a, b) for found in fewer for a, b in zip(found.disparities, output.disparities))
+    assert all(torch.equal(found.features, output.features) for found in fewer)
+
+
+def test_global_features_join_the_deepest_map_and_change_every_scale(hr_net):
+    seen = given_to(hr_net.decoder.neck)
+    with torch.inference_mode():
+        deepest = hr_net.encoder(small())[-1]
+        plain, led = hr_net(small(), 4, features()), hr_net(small(), 4, features(1))
+    assert torch.equal(seen[0][0], torch.cat([deepest, features()], 1))
+    assert not any(torch.allclose(a, b) for a, b in zip(plain.disparities, led.disparities))
+
+
+def test_by_itself_hr_net_has_no_room_for_global_features():
+    by_itself = HRNet().eval()
+    assert by_itself.decoder.neck[0].in_channels == 128
+    assert HRNet(GLOBAL).decoder.neck[0].in_channels == 128 + GLOBAL
+    with torch.inference_mode():
+        assert by_itself(small()).disparities[0].shape == (2, 1, *SMALL)
+        with pytest.raises(RuntimeError):
+            by_itself(small(), 4, features())
+
+
+def test_under_bfloat16_hr_nets_features_stay_narrow_and_disparities_are_float32(hr_net):
+    seen = given_to(hr_net.decoder.neck)
+    with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16):
+        output = hr_net(small(), 4, features())
+    assert seen[0][0].dtype == output.features.dtype == torch.bfloat16
+    assert all(d.dtype == torch.float32 and d.isfinite().all() for d in output.disparities)
+
+
+@pytest.mark.parametrize("global_channels", [0, GLOBAL])
+def test_gradients_reach_every_parameter_of_hr_net(global_channels):
+    torch.manual_seed(0)
+    net = HRNet(global_channels)
+    assert without_gradient(net, net(small(), 4, features() if global_channels else None)) == []
+
+
+def test_batch_norm_follows_the_batches_in_training_alone():
+    net = HRNet()
+    statistics = {name: value.clone() for name, value in net.named_buffers()}
+    net.eval()(small())
+    assert all(torch.equal(value, statistics[name]) for name, value in net.named_buffers())
+    net.train()(small())
+    assert len(statistics) == 3 * 10
+    assert not any(torch.equal(value, statistics[name]) for name, value in net.named_buffers())
+
+
+# The dual network
+
+
+@pytest.fixture(scope="module")
+def dual_of(encoder):
+    """A dual network with new weights, in eval mode."""
+
+    def make(link="attention", **settings):
+        torch.manual_seed(0)
+        return DualNet(LRNet(encoder), link, **settings).eval()
+
+    return make
+
+
+def test_parameters_and_macs_of_both_are_those_fitted_to_the_papers_overhead_table():
+    with torch.device("meta"):  # shapes without values
+        dual, given = DualNet(LRNet("resnet50")), torch.zeros(1, 3, 384, 1248)
+    both, alone = count(dual, given, with_lr_depth=True), count(dual, given)
+    decoder = sum(p.numel() for p in dual.lr_net.decoder.parameters())
+    assert (million(both.params), million(both.macs / 1e3)) == (34.360, 25.845)
+    assert (million(alone.params - decoder), million(alone.macs / 1e3)) == (27.916, 23.953)
+
+
+def test_without_sa_the_neck_takes_all_of_resnet50s_channels_beside_hr_nets():
+    with torch.device("meta"):
+        direct, given = DualNet(LRNet("resnet50"), "direct"), torch.zeros(1, 3, 384, 1248)
+    seen = given_to(direct.hr_net.decoder.neck)
+    direct(given)
+    assert direct.attention is None
+    assert seen[0][0].shape == (1, 2048 + 128, 12, 39)
+
+
+def test_the_embedding_alone_is_as_large_and_saves_the_two_products(dual_of):
+    mixed, alone = (count(dual_of(link), torch.zeros(1, 3, *SIZE, device="meta")) for link in ("attention", "embedding"))
+    assert mixed.params == alone.params
+    assert mixed.macs - alone.macs == 2 * 6 * 6 * 128
+
+
+@pytest.mark.parametrize("link", LINKS)
+def test_the_dual_networks_disparities_come_at_four_scales_and_fewer_are_the_same_to_the_bit(dual_of, link):
+    net = dual_of(link)
+    with torch.inference_mode():
+        output = net(image(items=2))
+        fewer = [net(image(items=2), scales).disparities for scales in (1, 2, 3)]
+    assert [tuple(d.shape) for d in output.disparities] == [(2, 1, SIZE[0] >> s, SIZE[1] >> s) for s in range(4)]
+    assert output.features.shape == (2, 16, *SIZE)
+    assert [len(f) for f in fewer] == [1, 2, 3]
+    assert all(torch.equal(a, b) for found in fewer for a, b in zip(found, output.disparities))
+
+
+@pytest.mark.parametrize("link", LINKS)
+def test_training_leaves_lr_net_as_it_was_to_the_bit_and_moves_the_rest(dual_of, link):
+    net = dual_of(link).train()
+    before = {name: value.clone() for name, value in net.state_dict().items()}
+    optimizer = torch.optim.AdamW(net.parameters(), lr=1e-2, weight_decay=0.1)
+    for step in range(2):
+        optimizer.zero_grad()
+        output = net(image(seed=step))
+        (sum(d.mean() for d in output.disparities) + output.features.square().mean()).backward()
+        optimizer.step()
+    assert all(p.grad is None and not p.requires_grad for p in net.lr_net.parameters())
+    same = {name for name, value in net.state_dict().items() if torch.equal(value, before[name])}
+    frozen = {f"lr_net.{name}" for name in net.lr_net.state_dict()}
+    assert {"running_mean", "running_var", "num_batches_tracked"} <= {name.split(".")[-1] for name in frozen}
+    assert same == frozen
+
+
+def test_lr_net_stays_in_eval_mode(encoder):
+    lr_net = LRNet(encoder).train()
+    whole = nn.Sequential(DualNet(lr_net))
+    for mode in (True, False, True):
+        modes = [{m.training for m in part.modules()} for part in (lr_net, whole.train(mode)[0].hr_net, whole[0].attention)]
+        assert modes == [{False}, {mode}, {mode}]
+    assert not any(m.training for m in DualNet(LRNet(encoder)).lr_net.modules())  # before anyone calls train()
+
+
+def test_lr_net_sees_the_image_averaged_3_by_3(dual_of):
+    net = dual_of()
+    seen = given_to(net.lr_net.encoder)
+    with torch.inference_mode():
+        net(image())
+    assert len(seen) == 1
+    assert seen[0][0].shape == (1, 3, 64, 96)
+    assert torch.allclose(seen[0][0], averaged(image()), atol=1e-6)
+
+
+def test_sa_attention_is_given_lr_nets_deepest_map_and_the_low_resolution_image(dual_of):
+    net = dual_of()
+    seen = given_to(net.attention)
+    with torch.inference_mode():
+        net(image())
+        expected = net.lr_net.encoder(averaged(image()))[-1]
+    features, low = seen[0]
+    assert features.shape == (1, DEEPEST, 2, 3)
+    assert torch.allclose(features, expected, atol=1e-5)
+    assert torch.allclose(low, averaged(image()), atol=1e-6)
+
+
+@pytest.mark.parametrize("link", LINKS)
+def test_what_is_handed_over_is_enlarged_three_times_bilinearly(dual_of, link):
+    net = dual_of(link)
+    seen = given_to(net.hr_net)
+    with torch.inference_mode():
+        net(image(), 2)
+        low = averaged(image())
+        deepest = net.lr_net.encoder(low)[-1]
+        handed = deepest if link == "direct" else net.attention(deepest, low)
+    given, scales, enlarged = seen[0]
+    assert torch.equal(given, image())
+    assert scales == 2
+    assert enlarged.shape == (1, DEEPEST if link == "direct" else 128, 6, 9)
+    for found, expected in (
+        (enlarged[..., 1::3, 1::3], handed),  # the centre of each 3×3 is the position itself
+        (enlarged[..., 1::3, 2:-1:3], (2 * handed[..., :-1] + handed[..., 1:]) / 3),
+        (enlarged[..., 3, 1::3], (handed[..., 0, :] + 2 * handed[..., 1, :]) / 3),
+        (enlarged[..., 0, ::8], handed[..., 0, ::2]),  # the border's value beyond the last centre
+    ):
+        assert torch.allclose(found, expected, atol=1e-4 * handed.abs().max().item())
+
+
+@pytest.mark.parametrize(("link", "mixes"), [("attention", True), ("embedding", False)])
+def test_the_link_and_its_settings_reach_sa_attention(dual_of, link, mixes):
+    attention = dual_of(link, similarity="l2", normalise="mean").attention
+    assert isinstance(attention, SelfAssembledAttention)
+    assert (attention.mixing, attention.similarity, attention.normalise) == (mixes, "l2", "mean")
+
+
+@pytest.mark.parametrize("link", LINKS)
+def test_lr_net_leads(dual_of, link):
+    """Other weights in LR-Net's encoder give another depth; its decoder has no say."""
+    net = dual_of(link)
+    with torch.inference_mode():
+        plain = net(image()).disparities[0]
+        nn.init.normal_(net.lr_net.decoder.heads[0].weight)
+        assert torch.equal(net(image()).disparities[0], plain)
+        last = [m for m in net.lr_net.encoder.modules() if isinstance(m, nn.BatchNorm2d)][-1]
+        nn.init.normal_(last.weight)
+        assert not torch.equal(net(image()).disparities[0], plain)
+
+
+def test_lr_nets_decoder_changes_nothing_and_gives_its_depth_beside(dual_of):
+    net = dual_of()
+    seen = given_to(net.lr_net.encoder)
+    with torch.inference_mode():
+        alone = net(image())
+        high, low = net(image(), with_lr_depth=True)
+        again = net(image())
+        expected = net.lr_net(averaged(image()))
+    assert len(seen) == 4  # once a forward, and once for the comparison
+    for found in (high, again):
+        assert all(torch.equal(a, b) for a, b in zip((*found.disparities, found.features), (*alone.disparities, alone.features)))
+    assert [tuple(d.shape[-2:]) for d in low.disparities] == [(64 >> s, 96 >> s) for s in range(4)]
+    assert all(torch.allclose(a, b, atol=1e-5) for a, b in zip(low.disparities, expected.disparities))
+
+
+def test_disparities_are_float32_and_finite_under_bfloat16(dual_of):
+    net = dual_of().train()
+    with torch.autocast("cpu", torch.bfloat16):
+        output = net(image())
+    assert all(d.dtype == torch.float32 and d.isfinite().all() for d in output.disparities)
+    assert output.features.dtype == torch.bfloat16
+    assert net.attention.scale.dtype == torch.float32

@@ -18,7 +18,6 @@ from damages import (
     link,
     npz_bomb,
     npz_of,
-    of_unknown_type,
     png_of_gigapixels,
     replaced,
     smaller,
@@ -213,8 +212,8 @@ ARCHIVES = [
         for what, content in {
             **{name: cut(grid()) for name, cut in QUARTERS.items()},
             "a web page": b"<html>",
-            "type": of_unknown_type(grid()),
-            "compressed, changed": turned(0.5)(grid(do_compression=True)),
+            "another variable": grid("Position2DGrid"),
+            "another shape": grid(shape=(55, 300, 4)),
         }.items()
     ],
     Case("Make3D archive", GRIDS, "compressed grid", grids(grid(do_compression=True)), works=True),

@@ -130,10 +130,3 @@ def special(kind: bytes) -> Damage:
 def grids(content: bytes) -> Damage:
     """An archive of one laser grid."""
     return lambda _: tar_of({"depth_sph_corr-a.mat": content})
-
-
-def of_unknown_type(whole: bytes) -> bytes:
-    """A grid whose numbers are of a type that the format does not know."""
-    tag = struct.pack("<II", 9, 55 * 305 * 4 * 8)
-    assert tag in whole
-    return whole.replace(tag, struct.pack("<II", 11, 55 * 305 * 4 * 8))

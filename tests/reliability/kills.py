@@ -25,8 +25,8 @@ import pandas as pd
 import psutil
 import torch
 
-from data_scripts.prepare_data import write_identity, write_training_index
-from dualdepth.data.triplets import drive_triplets
+from data_scripts.prepare_data import write_identity
+from dualdepth.data.triplets import drive_triplets, write_targets
 from dualdepth.device import keep_freed_memory
 from dualdepth.run import Run, Sources
 from dualdepth.training.checkpoints import checkpoint_paths
@@ -72,7 +72,7 @@ def make_checkout(root: Path, **training: object) -> Path:
     run = Run(str(profile), root)
     Sources(kitti_root=root / "kitti", test_list=root / "none.txt").save(run)
     targets = drive_triplets(root / "kitti", [DRIVE])
-    write_training_index(run, Sources.load(run), targets)
+    write_targets(run.index("lr"), root / "kitti", targets)
     write_identity(run, Sources.load(run), targets)
     return profile
 
@@ -80,7 +80,7 @@ def make_checkout(root: Path, **training: object) -> Path:
 def start(run: Run, variant: str, seed: int, **environment: str) -> BaseProcess:
     """Train in a process of its own group, with more in its environment."""
     server = multiprocessing.get_context("forkserver")
-    server.set_forkserver_preload(["dualdepth.trainings", "dualdepth.training", "accelerate", "transformers"])
+    server.set_forkserver_preload(["dualdepth.training.variants", "accelerate", "transformers"])
     process = server.Process(target=_train, args=(run, variant, seed, environment))
     process.start()
     while process.is_alive() and os.getpgid(process.pid) != process.pid:

@@ -1,4 +1,4 @@
-"""Several processes train as one, share predictions, and end together."""
+"""Several processes train as one, and end together."""
 
 import os
 import re
@@ -7,11 +7,8 @@ import subprocess
 import sys
 import time
 
-import numpy as np
 import pytest
-import torch
 
-from dualdepth.inference.predict import load_depth_net, predict_disparities
 from dualdepth.training.checkpoints import last_checkpoint
 from tests.reliability.ddp import Pair, largest_difference, start_two, wait_for_step, weights_of
 from tests.reliability.kills import finish, start
@@ -79,29 +76,6 @@ def test_torchrun_ends_with_the_error_of_the_process_that_met_it(pair):
     assert done.returncode != 0
     assert re.search(rf"^error: \S*{frame.name}: truncated", done.stderr, re.MULTILINE)
     assert not run.weights("lr", 0).exists()
-
-
-@pytest.mark.slow
-def test_predictions_are_shared_and_each_image_counts_once(pair, single, tmp_path):
-    weights = tmp_path / "model.safetensors"
-    kept = pair.root / "kept1"
-    weights.write_bytes((kept / "model.safetensors").read_bytes())
-    weights.with_suffix(".json").write_bytes((kept / "model.json").read_bytes())
-    paths = sorted((pair.root / "kitti").rglob("*.png"))[:5]
-    script = (
-        "import sys, numpy as np\n"
-        "from dualdepth import ranks\n"
-        "from dualdepth.predict import load_depth_net, predict_disparities\n"
-        "found = predict_disparities(load_depth_net(sys.argv[1]), sys.argv[3:], batch_size=2)\n"
-        "np.save(f'{sys.argv[2]}/{ranks.is_main():d}.npy', found)\n"
-    )
-    (tmp_path / "share.py").write_text(script)
-    command = [*TORCHRUN, str(tmp_path / "share.py"), str(weights), str(tmp_path), *map(str, paths)]
-    subprocess.run([sys.executable, *command], check=True, env=os.environ | {"OMP_NUM_THREADS": "1"}, timeout=120)
-    torch.set_num_threads(1)
-    alone = predict_disparities(load_depth_net(weights), paths, batch_size=1)
-    for process in "01":
-        assert np.allclose(np.load(tmp_path / f"{process}.npy"), alone, rtol=1e-5)
 
 
 @pytest.mark.slow

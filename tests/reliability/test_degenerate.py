@@ -2,31 +2,23 @@
 
 import pytest
 import torch
-from test_hr_stage import batch_of, dual_of, stage_of  # noqa: F401
+from small_stages import batch_of, dual_of, stage_of  # noqa: F401
 
-from dualdepth.networks.pose_net import POSE_SCALE
-from dualdepth.profile import load_profile
-from dualdepth.training import stages as stages_module
-from dualdepth.training.stages import Stage
+from dualdepth.networks.depth_nets import LRNet
+from dualdepth.networks.pose_net import POSE_SCALE, PoseNet
 
 # ruff: noqa: F811
 SIZE = (192, 192)
 
 
 @pytest.fixture(scope="module")
-def stages(dual_of):
+def stages(dual_of, encoder):
     """Makes a stage with all its networks, small."""
 
     def make(name):
-        stage = stage_of(dual_of("attention"))
-        if name == "lr":
-            profile = load_profile("tiny")
-            lr_net, pose_net = stage.depth_net.lr_net, stage.pose_net
-            with pytest.MonkeyPatch.context() as patched:  # instead of the profile's large ones
-                patched.setattr(stages_module, "LRNet", lambda *_, **__: lr_net)
-                patched.setattr(stages_module, "PoseNet", lambda *_, **__: pose_net)
-                stage = Stage(profile).requires_grad_()
-        return stage.train()
+        torch.manual_seed(0)
+        depth_net = dual_of() if name == "hr" else LRNet(encoder)
+        return stage_of(depth_net, PoseNet(), low=name == "lr").train()
 
     return make
 

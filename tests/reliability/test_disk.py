@@ -49,7 +49,7 @@ def whole(run):
 def test_on_a_full_disk_a_training_goes_on_with_its_last_checkpoint_and_ends_in_one_line(run, whole, tmp_path, capsys, counted):
     folder = tmp_path / "run"
     with pytest.raises(SystemExit):
-        run(make_model=at_forward(2, kill_softly))
+        run(kind=at_forward(2, kill_softly))
     before = checkpoint_path(folder, 2).read_bytes()
     capsys.readouterr()
     with (
@@ -80,7 +80,7 @@ def test_a_table_or_card_that_does_not_fit_leaves_the_one_before(tmp_path, count
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")  # TensorBoard's thread, which has lost its file
 def test_a_folder_that_vanishes_is_made_again(run, whole, tmp_path, counted):
     with counted():
-        assert equal(run(make_model=at_forward(3, lambda _: shutil.rmtree(tmp_path / "run"))), whole)
+        assert equal(run(kind=at_forward(3, lambda _: shutil.rmtree(tmp_path / "run"))), whole)
         assert (tmp_path / "run/model.json").exists()
 
 
@@ -93,7 +93,7 @@ def test_a_folder_that_cannot_be_written_any_more_is_told_and_what_it_held_stays
         folder.touch()
 
     with counted(), pytest.raises(InputError, match=r"run/model\.safetensors: could not be written"):
-        run(make_model=at_forward(3, block))
+        run(kind=at_forward(3, block))
     with counted():
         assert "checkpoint of step 4 was not written" in capsys.readouterr().out
         assert load_checkpoint(checkpoint_path(aside, 2))["step"] == 2
@@ -106,7 +106,7 @@ def test_a_folder_that_cannot_be_written_any_more_is_told_and_what_it_held_stays
 def test_checkpoints_that_vanish_cost_their_steps_alone(run, whole, tmp_path, counted):
     folder = tmp_path / "run"
     with pytest.raises(SystemExit):
-        run(make_model=at_forward(4, kill_softly))
+        run(kind=at_forward(4, kill_softly))
     checkpoint_path(folder, 4).unlink()
     with counted():
         assert last_checkpoint(folder)["step"] == 2
@@ -116,5 +116,5 @@ def test_checkpoints_that_vanish_cost_their_steps_alone(run, whole, tmp_path, co
 def test_a_frame_that_vanishes_is_named(run, kitti_root, counted):
     frame = sorted(kitti_root.rglob("*.png"))[2]
     with counted(), pytest.raises(InputError, match=rf"{frame.name}: .*") as error:
-        run(make_model=at_forward(1, lambda _: frame.unlink()))
+        run(kind=at_forward(1, lambda _: frame.unlink()))
     assert "\n" not in str(error.value)

@@ -11,24 +11,21 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from dualdepth.onnx_session import load_onnx
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from PIL import Image
-from scipy.io import savemat
-from small_onnx import HEIGHT, WIDTH
-from small_onnx import write as write_onnx
 from strategies import FUZZ, bytes_of, values_of
 
-from data_scripts.archives import unpack, unpack_tar
+from data_scripts.archives import unpack
+from dualdepth.commands.evaluate import load_predictions
 from dualdepth.data import lidar, make3d
 from dualdepth.data.depth_maps import load_ground_truth, save_ground_truth
 from dualdepth.data.kitti import Frame, read_image
 from dualdepth.data.label_maps import read_label_map
 from dualdepth.errors import InputError
 from dualdepth.evaluation.depth import evaluate, summary
-from dualdepth.evaluation.predictions import load_predictions
+from dualdepth.files import file_digest
 from dualdepth.inference import predict
 from dualdepth.training.checkpoints import load_checkpoint, save_checkpoint
 from dualdepth.training.weights import load_card, load_weights, save_weights
@@ -60,12 +57,6 @@ def npz(folder: Path) -> bytes:
 def field_npz(_: Path) -> bytes:
     buffer = io.BytesIO()
     np.savez(buffer, data=np.ones((2, 3, 4), np.float32))
-    return buffer.getvalue()
-
-
-def mat(compressed: bool) -> bytes:
-    buffer = io.BytesIO()
-    savemat(buffer, {make3d.GRID_KEY: np.ones((2, 3, 4))}, do_compression=compressed)
     return buffer.getvalue()
 
 
@@ -103,22 +94,8 @@ def weights(folder: Path) -> bytes:
 def read_weights(path: Path) -> None:
     path = path.rename(path.with_suffix(".safetensors"))
     card = path.with_suffix(".json")
-    card.write_text(json.dumps({"sha256": predict_digest(path)}))  # whoever damages weights may also write a card
+    card.write_text(json.dumps({"sha256": file_digest(path)}))  # whoever damages weights may also write a card
     load_weights(path, network())
-
-
-def onnx_file(folder: Path) -> bytes:
-    return write_onnx(folder / "whole.onnx").read_bytes()
-
-
-def run_onnx(path: Path) -> None:
-    load_onnx(path, threads=1)(np.zeros((1, 3, HEIGHT, WIDTH), np.float32))
-
-
-def predict_digest(path: Path) -> str:
-    import hashlib
-
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def read_scan(path: Path) -> None:
@@ -139,11 +116,11 @@ def improved(path: Path) -> None:
     lidar.improved_ground_truth(path.parent, Frame(DRIVE, 0))
 
 
-def extract(path: Path, how) -> None:
+def extract(path: Path) -> None:
     folder = path.parent / "out"
     shutil.rmtree(folder, ignore_errors=True)
     try:
-        how(path, folder)
+        unpack(path, folder)
     except InputError:
         assert not [p for p in folder.rglob("*") if p.is_file()]
         raise
@@ -169,14 +146,11 @@ FILES = {
     "predictions": (npy(), lambda p: evaluate(load_predictions(p), [np.full((3, 4), 5.0)] * 2, crop="none")),
     "ground truth": (npz, lambda p: list(load_ground_truth(p))),
     "ground truth in one array": (field_npz, lambda p: list(load_ground_truth(p))),
-    "laser grid": (mat(False), make3d.read_grid),
-    "compressed laser grid": (mat(True), make3d.read_grid),
-    "zip, stored": (zipped(zipfile.ZIP_STORED), lambda p: extract(p, unpack)),
-    "zip, deflated": (zipped(zipfile.ZIP_DEFLATED), lambda p: extract(p, unpack)),
-    "tar.gz": (tarred(), lambda p: extract(p, unpack_tar)),
+    "zip, stored": (zipped(zipfile.ZIP_STORED), extract),
+    "zip, deflated": (zipped(zipfile.ZIP_DEFLATED), extract),
+    "tar.gz": (tarred(), extract),
     "checkpoint": (checkpoint, load_checkpoint),
     "weights": (weights, read_weights),
-    "ONNX": (onnx_file, run_onnx),
 }
 
 
@@ -226,7 +200,7 @@ def test_any_floats_as_predictions(kind, resize, counted):
 def test_cards_of_networks(tmp_path, monkeypatch, counted):
     monkeypatch.setattr("dualdepth.networks.architecture.Architecture.build", lambda self, pretrained=False: network())
     monkeypatch.setattr(predict, "PoseNet", network)
-    whole = {**predict.Architecture("lr", "resnet18").words(), "hr_size": [192, 192]}
+    whole = predict.Architecture(network="lr", encoder="resnet18").model_dump() | {"hr_size": [192, 192]}
     save_weights(
         tmp_path / "w.safetensors",
         SimpleNamespace(state_dict=lambda: network().state_dict(prefix="depth_net.") | network().state_dict(prefix="pose_net.")),

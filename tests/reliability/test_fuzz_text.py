@@ -10,20 +10,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import FUZZ, bytes_of, values_of
 
-from data_scripts import download_kitti, download_make3d, sources
+from data_scripts import sources
 from data_scripts.own.camera import camera_of_file
-from data_scripts.own.dataset import read_record
 from dualdepth.commands.reproduce import parse_parameters
 from dualdepth.data import kitti
 from dualdepth.data.lidar import map_size, velodyne_projection
-from dualdepth.data.odometry import COLUMNS, frame_files, load_odometry_triplets, pair_frames, read_trajectory, sequence_intrinsics
-from dualdepth.data.triplets import drive_triplets, load_triplets
+from dualdepth.data.odometry import frame_files, pair_frames, read_trajectory, sequence_intrinsics
+from dualdepth.data.triplets import drive_triplets
 from dualdepth.errors import InputError
 from dualdepth.evaluation.leaks import check_leak
 from dualdepth.evaluation.odometry import trajectory_errors
 from dualdepth.profile import load_profile
-from dualdepth.run import Run, Sources, parse_seeds
-from dualdepth.tables.scoring import scored_frames
+from dualdepth.run import parse_seeds
 from dualdepth.training.weights import load_card
 
 pytestmark = pytest.mark.fuzz
@@ -35,9 +33,7 @@ LASER = b"R: 0 -1 0 0 0 -1 1 0 0\nT: 0 0 -0.27\n"
 LIST = f"{DRIVE} 0000000007 l\n{DRIVE} 0000000003 r\n{DRIVE} 12\n".encode()
 POSES = "".join(f"1 0 0 {k} 0 1 0 0 0 0 1 {k}e-1\n" for k in range(6)).encode()
 NUMBERED = "".join(f"{k} 1 0 0 {k} 0 1 0 0 0 0 1 0\n" for k in (0, 1, 2, 5, 6)).encode()
-TARGETS = f"drive,camera,index,suffix\n{DRIVE},image_02,1,.png\n{DRIVE},image_02,2,.jpg\n".encode()
 OWN = b'{"camera": {"fx": 220, "fy": 220, "cx": 104, "cy": 104, "width": 256, "height": 216, "distortion": []}, "made_from": "0"}'
-ODOMETRY = (",".join(COLUMNS) + "\n00,image_2,1,000000.png,000001.png,000002.png,220,220,104,104\n").encode()
 
 
 def calibration(folder: Path, name: str) -> None:
@@ -70,12 +66,6 @@ def trajectory(folder: Path) -> None:
     trajectory_errors(truth, prediction, "7dof")
 
 
-def triplets(folder: Path) -> None:
-    (folder / DAY).mkdir(exist_ok=True)
-    (folder / DAY / "calib_cam_to_cam.txt").write_bytes(CAMERAS)
-    load_triplets(folder / "damaged", folder)
-
-
 TEXTS = {
     "frame list": (LIST, lambda f: kitti.read_frame_list(f / "damaged")),
     "static frames": (b"2011_09_26 2011_09_26_drive_0001_sync 0000000005\n" * 2, lambda f: kitti.read_static_frames(f / "damaged")),
@@ -86,13 +76,10 @@ TEXTS = {
     "odometry calib of two rows": (f"{NUMBERS}\n{NUMBERS}\n".encode(), lambda f: odometry_calibration(f, "calib_p0_p1.txt")),
     "poses": (POSES, trajectory),
     "numbered poses": (NUMBERED, trajectory),
-    "prepared triplets": (TARGETS, triplets),
-    "prepared odometry": (ODOMETRY, lambda f: load_odometry_triplets(f / "damaged", f)),
     "profile as text": (
         (Path(kitti.__file__).parents[1] / "profiles/tiny.yaml").read_bytes(),
         lambda f: load_profile(str((f / "damaged").rename(f / "own.yaml"))),
     ),
-    "own camera's record": (OWN, lambda f: read_record((f / "damaged").rename(f / "own.json").parent)),
     "own camera's intrinsics": (OWN, lambda f: camera_of_file((f / "damaged").rename(f / "own.json"), (216, 256))),
     "own camera's KITTI calibration": (
         CAMERAS.replace(b"S_rect_02: 8 6", b"S_rect_02: 256 216"),
@@ -121,46 +108,14 @@ def test_damaged_text(parser, tmp_path, counted):
     try_one()
 
 
-def run_in(folder: Path) -> Run:
-    """A run of a project folder, whose work files are to be damaged."""
-    (folder / "own.yaml").write_text(f"about: a test\ndata: {{source: kitti, train_drives: [{DRIVE}]}}\n")
-    run = Run(str(folder / "own.yaml"), folder)
-    run.prepared.mkdir(parents=True, exist_ok=True)
-    return run
-
-
 def profile(folder: Path, value) -> None:
     (folder / "own.yaml").write_text(yaml.safe_dump(value, allow_unicode=True))
     load_profile(str(folder / "own.yaml"))
 
 
-def found_sources(folder: Path, value) -> None:
-    run = run_in(folder)
-    run.sources.write_text(json.dumps(value))
-    found = Sources.load(run)
-    assert isinstance(found.kitti_root, Path) and isinstance(found.train_drives, tuple)
-    assert run.allow_leak in (True, False)
-
-
-def frames_to_score(folder: Path, value) -> None:
-    run = run_in(folder)
-    (run.prepared / "test_frames.json").write_text(json.dumps(value))
-    for frame in scored_frames(run):
-        str(frame)
-
-
 def card(folder: Path, value) -> None:
     (folder / "w.json").write_text(json.dumps(value))
     check_leak(load_card(folder / "w.safetensors"), ["a", DRIVE], allow=True)
-
-
-def marker(folder: Path, value) -> None:
-    archive, photos = sources.ODOMETRY[0], sources.MAKE3D[0]
-    for path in (folder / archive.marker, folder / photos.marker):
-        path.parent.mkdir(exist_ok=True)
-        path.write_text(json.dumps(value))
-    download_kitti.is_complete(archive, folder, sources.CAMERAS)
-    download_make3d.is_complete(photos, folder)
 
 
 VALUES = {
@@ -174,13 +129,7 @@ VALUES = {
         },
         profile,
     ),
-    "sources.json": (
-        {"kitti_root": "/k", "test_list": "/l", "train_drives": ["a"], "labels_root": None, "allow_leak": False},
-        found_sources,
-    ),
-    "test_frames.json": ({"listed": 2, "frames": [[DRIVE, 1, "image_02"], [DRIVE, 2, "image_02"]]}, frames_to_score),
     "card": ({"network": "lr", "encoder": "resnet18", "drives": ["a"], "hr_size": [192, 192], "sha256": "0"}, card),
-    "marker of an archive": ({"archive": "Test134.tar.gz", "cameras": ["image_02"], "files": 3}, marker),
 }
 
 

@@ -62,7 +62,7 @@ def test_nothing_but_the_downloads_opens_addresses():
         imported = re.findall(
             r"^\s*(?:import|from) (urllib\.request|http\.client|requests|httpx|aiohttp)\b", path.read_text(), re.MULTILINE
         )
-        assert not imported or path.name == "download.py", path
+        assert not imported or path.name == "fetch.py", path
 
 
 def test_the_lab_listens_on_this_machine_alone_and_keeps_its_token():

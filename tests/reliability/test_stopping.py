@@ -2,7 +2,6 @@
 
 import os
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -17,10 +16,9 @@ from tests.reliability.kills import make_checkout
 
 @pytest.fixture(scope="module")
 def checkout(tmp_path_factory):
-    """A checkout with prepared frames, a profile of long trainings, and the training's notebook."""
+    """A checkout with prepared frames and a profile of long trainings."""
     root = tmp_path_factory.mktemp("checkout")
     make_checkout(root, lr={"batch_size": 2, "epochs": 200})
-    shutil.copyfile(project_root() / "notebooks/03_train_lr.ipynb", root / "notebooks/03_train_lr.ipynb")
     return Run(str(root / "own.yaml"), root)
 
 
@@ -44,22 +42,16 @@ def wait_until(true, seconds=120):
         time.sleep(0.01)
 
 
-BY_NOTEBOOK = ["notebook", "03_train_lr", "--out", "{seed}.ipynb", "--set", "profile=own.yaml", "variant=lr", "seed={seed}"]
-BY_HAND = ["train", "--profile", "own.yaml", "--variant", "lr", "--seed", "{seed}"]
-
-
 @pytest.mark.parametrize(
-    "seed, command, send",
+    "seed, send",
     [
-        pytest.param(0, BY_NOTEBOOK, os.killpg, marks=pytest.mark.slow, id="notebook, its group"),
-        pytest.param(1, BY_HAND, os.killpg, marks=pytest.mark.slow, id="by hand, its group with loader workers"),
-        pytest.param(2, BY_NOTEBOOK, os.kill, marks=pytest.mark.soak, id="notebook, its own process"),
-        pytest.param(3, BY_HAND, os.kill, marks=pytest.mark.soak, id="by hand, its own process"),
+        pytest.param(0, os.killpg, marks=pytest.mark.slow, id="its group with loader workers"),
+        pytest.param(1, os.kill, marks=pytest.mark.soak, id="its own process"),
     ],
 )
-def test_sigterm_ends_a_training_with_a_checkpoint_and_one_line(checkout, seed, command, send, counted):
+def test_sigterm_ends_a_training_with_a_checkpoint_and_one_line(checkout, seed, send, counted):
     run = checkout
-    process = started(run, *(word.format(seed=seed) for word in command))
+    process = started(run, "train", "--profile", "own.yaml", "--variant", "lr", "--seed", str(seed))
     try:
         wait_until(lambda: checkpoint_paths(run.training("lr", seed)) or process.poll() is not None)
         send(process.pid, signal.SIGTERM)
@@ -72,4 +64,4 @@ def test_sigterm_ends_a_training_with_a_checkpoint_and_one_line(checkout, seed, 
         assert process.returncode == 1 and stopped, said[-3000:]
         assert said.count("stopped at step") == 1 and "Traceback" not in said
         assert last_checkpoint(run.training("lr", seed))["step"] == int(stopped[1])
-        assert not run.weights("lr", seed).exists() and not (run.root / f"{seed}.ipynb").exists()
+        assert not run.weights("lr", seed).exists()

@@ -13,7 +13,7 @@ import os
 import sys
 from pathlib import Path
 
-sys.path[:0] = [str(Path(__file__).parents[place]) for place in (1, 2)] + [str(Path(__file__).parents[1] / "data")]
+sys.path[:0] = [str(Path(__file__).parents[place]) for place in (1, 2)] + [str(Path(__file__).parents[1] / "data_scripts")]
 
 from worlds import CAMERAS, DRIVE, SCAN, WORLDS  # noqa: E402
 

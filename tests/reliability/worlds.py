@@ -1,6 +1,6 @@
 """Good input for each command in a folder of its own, and the call that reads it; a bad input is one of these, damaged.
 
-`WORLDS[name](folder)` writes the files below `folder`, which is the working directory, and gives the call. Nothing reads oxts files.
+`WORLDS[name](folder)` writes the files below `folder`, which is the working directory, and gives the call.
 """
 
 import io
@@ -79,8 +79,8 @@ def improved(folder: Path) -> Call:
 
 def training(folder: Path, suffix: str = ".png", variant: str = "lr") -> Call:
     """`train`, one step of a small network on one triplet."""
-    from data_scripts.prepare_data import write_identity, write_training_index
-    from dualdepth.data.triplets import drive_triplets
+    from data_scripts.prepare_data import write_identity
+    from dualdepth.data.triplets import drive_triplets, write_targets
     from dualdepth.run import Run, Sources
 
     Path("notebooks").mkdir()
@@ -100,7 +100,7 @@ def training(folder: Path, suffix: str = ".png", variant: str = "lr") -> Call:
     sources = Sources(kitti_root=folder / "kitti", test_list=folder / "list.txt")
     sources.save(run)
     targets = drive_triplets(folder / "kitti", [DRIVE])
-    write_training_index(run, sources, targets)
+    write_targets(run.prepared / "triplets.csv", sources.kitti_root, targets)
     write_identity(run, sources, targets)
     if variant == "dual":
         untrained_lr(run)
@@ -109,11 +109,10 @@ def training(folder: Path, suffix: str = ".png", variant: str = "lr") -> Call:
 
 def untrained_lr(run) -> None:
     """Weights of stage 1 as a training writes them, without the training."""
-    from dualdepth.training.variants import architecture, make_stage
+    from dualdepth.training.variants import make_stage
 
-    variant, profile = run.profile.variant("lr"), run.profile.of_variant("lr")
-    card = architecture(variant, profile).words() | {"hr_size": [192, 192], "variant": "lr", "seed": 0, "steps": 1, "pretrained": False}
-    save_weights(run.weights("lr", 0), make_stage(profile, variant), card | {"drives": [DRIVE]})
+    card = run.profile.architecture("lr").model_dump() | {"hr_size": [192, 192], "variant": "lr", "seed": 0, "steps": 1}
+    save_weights(run.weights("lr", 0), make_stage(run.profile, "lr"), card | {"pretrained": False, "drives": [DRIVE]})
 
 
 def labels(folder: Path) -> Call:
@@ -149,10 +148,10 @@ def photo() -> bytes:
     return buffer.getvalue()
 
 
-def grid(**settings) -> bytes:
+def grid(name: str = "Position3DGrid", shape: tuple[int, ...] = (55, 305, 4), **settings) -> bytes:
     """A laser grid as Make3D has them."""
     buffer = io.BytesIO()
-    savemat(buffer, {"Position3DGrid": np.random.default_rng(0).uniform(1, 80, (55, 305, 4))}, **settings)
+    savemat(buffer, {name: np.random.default_rng(0).uniform(1, 80, shape)}, **settings)
     return buffer.getvalue()
 
 

@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 
 from dualdepth.evaluation.depth import METRICS
-from dualdepth.tables import ablation, distance, main, scoring, sharpness
+from dualdepth.tables import main, scoring
+from dualdepth.tables.ablation import ablation_claims, ablation_table
+from dualdepth.tables.distance import distance_claims, distance_table
 from dualdepth.tables.rows import NO_TRUTH, compare_trainings, training_row
+from dualdepth.tables.sharpness import detail_claims, sharpness_table
 
 OWN = "about: a test\ndata: {source: own}\n"
 
@@ -15,9 +18,7 @@ def run(make_run):
     return make_run("own", text=OWN)
 
 
-@pytest.mark.parametrize(
-    "table", [main.main_table, ablation.ablation_table, distance.distance_table, sharpness.sharpness_table], ids=lambda made: made.__name__
-)
+@pytest.mark.parametrize("table", [main.main_table, ablation_table, distance_table, sharpness_table], ids=lambda made: made.__name__)
 def test_every_row_of_ours_is_without_numbers_and_says_why(run, table, monkeypatch):
     monkeypatch.setattr(scoring, "truth", None)  # nothing is scored
     made = table(run, [0])
@@ -28,10 +29,7 @@ def test_every_row_of_ours_is_without_numbers_and_says_why(run, table, monkeypat
     assert made.loc[made["source"] == "paper"].notna().any(axis=None)
 
 
-CLAIMS = (ablation.ablation_claims, distance.distance_claims, sharpness.detail_claims)
-
-
-@pytest.mark.parametrize("claims", CLAIMS, ids=lambda made: made.__name__)
+@pytest.mark.parametrize("claims", [ablation_claims, distance_claims, detail_claims], ids=lambda made: made.__name__)
 def test_no_claim_is_compared(run, claims):
     table = claims(run, [0])
     assert len(table) and (table["metric"] == "").all() and table["in_words"].str.startswith("not run").all()
@@ -49,12 +47,3 @@ def test_there_are_no_baselines_and_the_empty_comparison_keeps_its_columns(run, 
     monkeypatch.setattr(main, "score_training", lambda *_: scoring.unscored(np.ones((2, 4, 5))))
     empty = main.compare_with_baselines(run, "lr", [0])
     assert not len(empty) and {"baseline", "difference", "clear_of_zero"} <= set(empty)
-
-
-def test_a_map_is_shown_with_a_median_of_its_own(run):
-    disparities = np.random.default_rng(0).uniform(0.05, 2, (3, 9, 11))
-    frame = scoring.unscored(disparities)
-    assert list(frame.index) == [0, 1, 2] and frame[list(METRICS)].isna().all(axis=None) and not frame["valid_pixels"].any()
-    for disparity, ratio in zip(disparities, frame["scale_ratio"]):
-        assert np.median(ratio / disparity) == pytest.approx(scoring.SHOWN_MEDIAN)
-    assert "unknown" in scoring.depth_unit(run)

@@ -10,7 +10,7 @@ from scipy.io import savemat
 from dualdepth import paper
 from dualdepth.data.depth_maps import save_ground_truth
 from dualdepth.errors import InputError
-from dualdepth.evaluation.make3d import CONVENTIONS, METRICS, ROWS, visible
+from dualdepth.evaluation.make3d import CONVENTIONS, METRICS, ROWS
 from dualdepth.run import Sources
 from dualdepth.tables import make3d, make3d_scoring
 from dualdepth.tables.make3d import NOT_RUN, VARIANTS, load_photos, make3d_claims, make3d_examples, make3d_table, score_make3d
@@ -27,6 +27,13 @@ def grid(number):
     return np.concatenate([rng.uniform(2, 20, (55, 244)), rng.uniform(30, 39, (55, 61))], axis=1)
 
 
+def write_grid(root, number, depth):
+    """Laser depth (55, 305) in metres as Make3D's file."""
+    points = np.zeros((55, 305, 4))
+    points[..., 3] = depth
+    savemat(root / "Gridlaserdata" / f"depth_sph_corr-{number}.mat", {"Position3DGrid": points})
+
+
 def write_photos(root):
     """Photos whose brightness is their number, with their grids."""
     for folder in ("Test134", "Gridlaserdata"):
@@ -34,9 +41,7 @@ def write_photos(root):
     for number in range(PHOTOS):
         photo = np.full((160, 120, 3), 40 * number, np.uint8)
         (root / "Test134" / f"img-{number}.jpg").write_bytes(cv2.imencode(".jpg", photo)[1].tobytes())
-        points = np.zeros((55, 305, 4))
-        points[..., 3] = grid(number)
-        savemat(root / "Gridlaserdata" / f"depth_sph_corr-{number}.mat", {"Position3DGrid": points})
+        write_grid(root, number, grid(number))
 
 
 @pytest.fixture
@@ -71,12 +76,11 @@ def run(make_run, cards, tmp_path, monkeypatch):
     return run
 
 
-def test_the_papers_rows_are_all_there_and_unchanged(run, check_paper_rows):
-    check_paper_rows(make3d_table(run, [0]), paper.table("make3d"))
-
-
-def test_each_network_has_a_row_for_each_convention(run):
-    table = make3d_table(run, [0, 1]).query("source == 'measured'")
+def test_each_network_has_a_row_for_each_convention_below_the_papers(run, check_paper_rows):
+    table = make3d_table(run, [0, 1])
+    check_paper_rows(table, paper.table("make3d"))
+    table = table.query("source == 'measured'")
+    assert "Train set mean" not in set(table["method"])  # without training-side laser frames
     rows = table.dropna(subset="variant").set_index(["variant", "convention"])
     assert set(rows.index) == {(variant, convention) for variant in VARIANTS for convention in CONVENTIONS}
     for (variant, _), row in rows.iterrows():
@@ -102,21 +106,15 @@ def test_constants_are_scored_as_the_networks_are_and_the_mean_as_it_is(run):
     assert mean["n"] == PHOTOS and mean["convention"] == "either"
 
 
-def test_without_training_side_laser_frames_their_mean_has_no_row(run):
-    assert (make3d_table(run, [0]).query("source == 'measured'")["method"] == "Train set mean").sum() == 0
-
-
-def test_a_truncated_photo_is_told_in_the_notes(run, tmp_path):
-    path = tmp_path / "photos" / "Test134" / "img-1.jpg"
-    path.write_bytes(path.read_bytes()[:-2])
-    notes = make3d_table(run, [0]).dropna(subset="variant")["note"]
-    assert notes.str.endswith("not fine-tuned; img-1.jpg is truncated").all()
-
-
-def test_two_truncated_photos_are_one_too_many(run, tmp_path):
-    for name in ("img-0.jpg", "img-1.jpg"):
+def test_a_truncated_photo_is_told_in_the_notes_and_two_are_one_too_many(run, tmp_path):
+    def truncate(name):
         path = tmp_path / "photos" / "Test134" / name
         path.write_bytes(path.read_bytes()[:-2])
+
+    truncate("img-1.jpg")
+    notes = make3d_table(run, [0]).dropna(subset="variant")["note"]
+    assert notes.str.endswith("not fine-tuned; img-1.jpg is truncated").all()
+    truncate("img-0.jpg")
     with pytest.raises(InputError, match=r"Test134: img-0\.jpg, img-1\.jpg are truncated; one photo is published so"):
         make3d_table(run, [0])
 
@@ -132,23 +130,11 @@ def test_without_make3d_root_the_rows_say_how_to_get_it(run, tmp_path):
     measured = make3d_table(run, [0]).query("source == 'measured'")
     assert len(measured) == 1 + 2 * 4 and measured["note"].eq(NOT_RUN).all()
     assert measured[["abs_rel", "sq_rel", "rmse"]].isna().all(axis=None)
-    assert NOT_RUN == "not run: no MAKE3D_ROOT; get it with python data_scripts/download_make3d.py --root DIR"
     claims = make3d_claims(run, [0])
     assert list(claims.columns) == COMPARISON and claims["in_words"].tolist() == [NOT_RUN]
     assert load_photos(run) is None and make3d_examples(run, "lr", 0) is None
     with pytest.raises(InputError, match="no MAKE3D_ROOT"):
         score_make3d(run, "lr", 0, convention="band")
-
-
-def test_a_network_that_is_not_trained_keeps_its_rows_and_says_why(run, make_run):
-    own = make_run("own", text="about: x\ndata:\n  source: kitti\n  train_list: eigen_zhou\ntrain: {lr: , dual: }\n")
-    Sources.load(run).save(own)
-    for variant in ("lr", "dual"):
-        own.training(variant, 0).mkdir(parents=True)
-        own.weights(variant, 0).write_bytes(run.weights(variant, 0).read_bytes())
-    rows = make3d_table(own, [0]).query("variant == 'dual_no_sa'")
-    assert len(rows) == 2 and rows["abs_rel"].isna().all()
-    assert rows["note"].eq("not run: profile own does not train it").all()
 
 
 def test_the_claim_is_paired_on_the_band(run):
@@ -176,9 +162,7 @@ def test_whatever_shapes_the_scores_makes_them_anew(run, tmp_path, monkeypatch, 
         path = tmp_path / "photos" / "Test134" / "img-0.jpg"
         path.write_bytes(path.read_bytes() + b"\0")
     elif change == "grid":
-        points = np.zeros((55, 305, 4))
-        points[..., 3] = grid(77)
-        savemat(tmp_path / "photos" / "Gridlaserdata" / "depth_sph_corr-0.mat", {"Position3DGrid": points})
+        write_grid(tmp_path / "photos", 0, grid(77))
     elif change == "code":
         monkeypatch.setattr(make3d_scoring, "code_digest", lambda *steps: "another")
     elif change == "damaged stamp":
@@ -189,12 +173,6 @@ def test_whatever_shapes_the_scores_makes_them_anew(run, tmp_path, monkeypatch, 
     assert len(run.predicted) == 2
     assert (new["abs_rel"] != old["abs_rel"]).any() == (change in ("weights", "grid"))
     assert json.loads(stamp.read_text())["photos"]
-
-
-def test_missing_weights_name_the_notebook(run):
-    run.weights("dual", 1).unlink()
-    with pytest.raises(InputError, match="run notebook 04_train_hr, variant dual, seed 1, with profile tiny first"):
-        score_make3d(run, "dual", 1, convention="band")
 
 
 def test_examples_show_the_band_with_depth_in_metres(run):
@@ -210,12 +188,6 @@ def test_examples_show_the_band_with_depth_in_metres(run):
 
 
 def test_cells_that_are_not_scored_show_nothing(run, tmp_path):
-    points = np.zeros((55, 305, 4))
-    points[..., 3] = np.where(np.arange(305) < 100, 70, 5)
-    savemat(tmp_path / "photos" / "Gridlaserdata" / "depth_sph_corr-0.mat", {"Position3DGrid": points})
+    write_grid(tmp_path / "photos", 0, np.where(np.arange(305) < 100, 70, 5))
     truth = make3d_examples(run, "dual", 0, count=1, size=(21, 305)).truths[0]
     assert (truth[:, :100] == 0).all() and (truth[:, 100:] == 5).all()
-
-
-def test_the_band_is_what_the_network_is_shown(run):
-    assert visible(np.zeros((160, 120, 3)), "band").shape == (60, 120, 3)

@@ -168,5 +168,5 @@ def test_label_maps_are_read_from_the_runs_sources(prepare, tmp_path):
     assert label_map(prepare(with_labels=False), 1) is None
     run = prepare()
     label_path(tmp_path / "labels", scored_frames(run)[2]).unlink()
-    with pytest.raises(InputError, match=r"0000000002\.png: cannot read the label map"):
+    with pytest.raises(InputError, match=r"0000000002\.png: "):
         label_map(run, 2)

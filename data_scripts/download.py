@@ -1,0 +1,131 @@
+"""What the scripts that download data sets share: ask the sizes, check the disk, get and unpack each archive, mark it as done."""
+
+import contextlib
+import json
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+from tqdm import tqdm
+
+from data_scripts.archives import BadArchiveError, unpack
+from data_scripts.fetch import IF_OFFLINE, fetch, gigabytes, part_size, remote_size, require_space
+from data_scripts.sources import CAMERAS, Archive
+from dualdepth.errors import InputError
+from dualdepth.files import write_json
+
+UNPACKED = 1.25
+"""Unpacked size over archive size, estimated from above (images hardly shrink in an archive, laser scans do); checked exactly later."""
+Check = Callable[[Archive, Path, Path], dict[str, Any]]
+"""Looks at an archive, its file and the folder of what was in it; gives facts for the marker, or raises `BadArchiveError`."""
+
+
+def progress(**settings: Any) -> tqdm:
+    """A bar on stdout, since stderr is for the one line of an error; a log file gets fewer updates than a terminal."""
+    return tqdm(file=sys.stdout, mininterval=0.5 if sys.stdout.isatty() else 5.0, dynamic_ncols=True, **settings)
+
+
+def unpacked_cameras(archive: Archive, root: Path) -> set[str] | None:
+    """Cameras that earlier runs unpacked of an archive, as its marker tells; None where there is no marker that can be read."""
+    try:
+        marker = json.loads((root / archive.marker).read_text(encoding="utf-8"))
+        return set(marker.get("cameras", ())) if marker["archive"] == archive.address else None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None
+
+
+def is_complete(archive: Archive, root: Path, cameras: Sequence[str]) -> bool:
+    """Whether the wanted cameras of an archive were unpacked before; asks only the disk."""
+    there = unpacked_cameras(archive, root)
+    return there is not None and (not archive.images or set(cameras) <= there)
+
+
+def plan(archives: Sequence[Archive], root: Path, home: str, *, keep_archives: bool, if_offline: str) -> int:
+    """Ask the sizes, say what is to come, check the disk.
+
+    Returns:
+        The bytes of all the archives.
+
+    Raises:
+        InputError: an archive does not exist, no network, or the disk is too small.
+    """
+    sizes = {}
+    for archive in progress(iterable=archives, desc="asking for sizes", unit="archive", leave=False):
+        sizes[archive.name] = remote_size(home + archive.address, if_offline)
+    left = {name: max(0, size - part_size(root / "archives" / name)) for name, size in sizes.items()}
+    total, missing = sum(sizes.values()), sum(left.values())
+    unpacked = UNPACKED * total
+    # Archives that are deleted in turn never lie on the disk together.
+    needed = unpacked + (missing if keep_archives else max(left.values()))
+    here = f" ({gigabytes(total - missing)} of {gigabytes(total)} are here already)" if missing < total else ""
+    print(f"{len(archives)} archives: {gigabytes(missing)} to download{here}, at most {gigabytes(unpacked)} when unpacked", flush=True)
+    require_space(root, needed, "the download")
+    print(f"the disk of {root} has the {gigabytes(needed)} that this takes", flush=True)
+    return total
+
+
+def download(
+    archives: Sequence[Archive],
+    root: Path,
+    home: str,
+    *,
+    cameras: Sequence[str] = CAMERAS,
+    check: Check = lambda *_: {},
+    keep_archives: bool = False,
+    if_offline: str = IF_OFFLINE,
+) -> int:
+    """Download and unpack what is not there yet, and return the number of archives that were missing.
+
+    Args:
+        archives: all that is wanted.
+        root: folder to fill.
+        home: address that the archives' are relative to.
+        cameras: to unpack.
+        check: of what came.
+        keep_archives: in `root/archives`; else each goes once unpacked.
+        if_offline: the mend that the message names when there is no network.
+
+    Raises:
+        InputError: no network, no such archive, a damaged one, or a disk that is too small.
+    """
+    pending = [archive for archive in archives if not is_complete(archive, root, cameras)]
+    if not pending:
+        return 0
+    total = plan(pending, root, home, keep_archives=keep_archives, if_offline=if_offline)
+    begun = sum(part_size(root / "archives" / archive.name) for archive in pending)
+    with progress(total=total, initial=begun, unit="B", unit_scale=True) as bar:
+        for number, archive in enumerate(pending, 1):
+            bar.set_description(f"{number}/{len(pending)} {archive.name}")
+            path = root / "archives" / archive.name
+            fetch(home + archive.address, path, digest=archive.digest, bar=bar, if_offline=if_offline)
+            install(archive, path, root, cameras, check)
+            if not keep_archives:
+                path.unlink()
+    with contextlib.suppress(OSError):  # not empty: archives that were to be kept
+        (root / "archives").rmdir()
+    return len(pending)
+
+
+def install(archive: Archive, path: Path, root: Path, cameras: Sequence[str], check: Check) -> None:
+    """Unpack an archive and write its marker last; a bad archive is deleted, so that the next run gets it anew."""
+    try:
+        with progress(desc=f"unpacking {archive.name}", unit="B", unit_scale=True, leave=False, position=1) as bar:
+            unpacked = unpack(
+                path, root / archive.folder, lambda m: archive.place(m, cameras), bar, check=lambda folder: check(archive, path, folder)
+            )
+    except BadArchiveError as error:
+        path.unlink()
+        raise InputError(f"{error}; the archive is deleted, run again to get it anew") from None
+    there = sorted((unpacked_cameras(archive, root) or set()) | set(cameras)) if archive.images else []
+    facts = {"archive": archive.address, "cameras": there, "files": unpacked.files, "bytes": unpacked.size}
+    write_json(root / archive.marker, facts | unpacked.found)
+
+
+def run_script(main: Callable[[], int]) -> NoReturn:
+    """End the process as `main` does; who stops it is told that the same command goes on."""
+    try:
+        sys.exit(main())
+    except KeyboardInterrupt:
+        print("stopped; run the same command again to go on", file=sys.stderr)
+        sys.exit(130)

@@ -1,0 +1,177 @@
+"""Frames come in their order in time, from a folder or a video; what is missing is noticed, and what is none is named."""
+
+import cv2
+import numpy as np
+import pytest
+from own_film import frame, write_frames, write_video
+from small_kitti import wall
+
+from dualdepth.data.frames import Footage, Video
+from dualdepth.errors import InputError
+
+
+@pytest.fixture(scope="module")
+def frames():
+    return [cv2.GaussianBlur(wall(90, 160, seed=i), (15, 15), 5) for i in range(12)]
+
+
+@pytest.fixture(scope="module")
+def clip(frames, tmp_path_factory):
+    """MJPG in AVI, which can be read to where it is cut."""
+    path = tmp_path_factory.mktemp("clips") / "ein Film ü.avi"
+    file = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 10, (160, 90))
+    for picture in frames:
+        file.write(picture[..., ::-1])
+    file.release()
+    return path
+
+
+def test_all_frames_come_in_order_and_in_rgb(clip, frames):
+    video = Video(clip)
+    read = list(video.frames())
+    assert (video.announced, video.rate, video.size, [number for number, _ in read]) == (12, 10.0, (90, 160), list(range(12)))
+    for (_, found), picture in zip(read, frames):
+        assert np.abs(found.astype(int) - picture).mean() < 8
+    assert video.missing is None
+
+
+def test_frames_that_are_wanted_are_those_of_the_whole_video(clip):
+    whole = dict(Video(clip).frames())
+    for wanted in ({0}, {1, 4, 5}, range(0, 100, 3), {11}):
+        some = dict(Video(clip).frames(wanted))
+        assert list(some) == [number for number in range(12) if number in wanted]
+        assert all((frame == whole[number]).all() for number, frame in some.items())
+
+
+def test_a_video_that_ends_early_is_read_as_far_as_it_goes_and_said(clip, tmp_path):
+    cut = tmp_path / "cut.avi"
+    cut.write_bytes(clip.read_bytes()[: clip.stat().st_size // 2])
+    video = Video(cut)
+    count = sum(1 for _ in video.frames())
+    assert 2 < count < 10
+    assert video.missing == f"ends early: {count} of 12 announced frames could be read"
+
+
+@pytest.mark.parametrize("content", [b"", b"no video", b"\0" * 5000])
+def test_what_is_no_video_is_named(tmp_path, content, capfd):
+    path = tmp_path / "x.mp4"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"x\.mp4: no video that can be decoded, or one without frames"):
+        Video(path)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_missing_video_is_named(tmp_path):
+    with pytest.raises(InputError, match="gone"):
+        Video(tmp_path / "gone.mp4")
+
+
+@pytest.mark.parametrize("share", [0.05, 0.3, 0.6, 0.95])
+def test_damaged_videos_end_or_are_refused(clip, tmp_path, share):
+    data = bytearray(clip.read_bytes())
+    place = int(share * len(data))
+    data[place : place + 200] = bytes(200)
+    path = tmp_path / "damaged.avi"
+    path.write_bytes(data)
+    try:
+        assert sum(1 for _ in Video(path).frames()) <= 13
+    except InputError as error:
+        assert "damaged.avi" in str(error)
+
+
+def numbers(footage):
+    return [still.number for still in footage.stills()]
+
+
+def test_frames_are_ordered_by_the_last_number_in_their_names(tmp_path):
+    folder = write_frames(tmp_path / "cam2", [frame(0), frame(1), frame(2)], ["cam2_10", "cam2_9", "cam2_8"])
+    footage = Footage(folder)
+    assert [still.file.stem for still in footage.stills()] == ["cam2_8", "cam2_9", "cam2_10"]
+    assert numbers(footage) == [0, 1, 2] and footage.length == 3
+
+
+def test_a_missing_number_is_a_gap(tmp_path):
+    folder = write_frames(tmp_path / "f", [frame(0)] * 5, ["f1", "f2", "f3", "f6", "f7"])
+    assert numbers(Footage(folder)) == [0, 1, 2, 5, 6]
+
+
+def test_numbers_that_count_in_tens_are_no_gaps_and_one_missing_of_them_is(tmp_path):
+    folder = write_frames(tmp_path / "f", [frame(0)] * 5, ["f10", "f20", "f30", "f50", "f60"])
+    assert numbers(Footage(folder)) == [0, 1, 2, 4, 5]
+
+
+def test_times_in_nanoseconds_are_neighbours_though_their_steps_differ(tmp_path):
+    names = [str(1403636579763555584 + k) for k in (0, 50_000_896, 100_000_000, 149_999_616, 400_000_000)]
+    assert numbers(Footage(write_frames(tmp_path / "f", [frame(0)] * 5, names))) == [0, 1, 2, 3, 8]
+
+
+def test_names_without_numbers_are_taken_in_their_order(tmp_path):
+    assert numbers(Footage(write_frames(tmp_path / "f", [frame(0)] * 3, ["a", "b", "c"]))) == [0, 1, 2]
+
+
+def test_a_video_gives_the_frames_that_were_written(tmp_path):
+    frames = [frame(k) for k in range(6)]
+    footage = Footage(write_video(tmp_path / "v.mp4", frames))
+    stills = list(footage.stills())
+    assert [s.number for s in stills] == list(range(6)) and footage.length == 6
+    for still, written in zip(stills, frames):
+        assert np.abs(still.image.astype(float) - written).mean() < 6  # the codec's loss
+    assert numbers(footage) == list(range(6)), "it can be gone through again"
+    assert [s.number for s in footage.stills({1, 4})] == [1, 4]
+
+
+def test_a_video_that_ends_early_is_refused_when_its_end_is_reached(tmp_path):
+    file = cv2.VideoWriter(str(tmp_path / "v.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 10, (256, 216))
+    for k in range(12):
+        file.write(frame(k)[..., ::-1])
+    file.release()
+    content = (tmp_path / "v.avi").read_bytes()
+    (tmp_path / "cut.avi").write_bytes(content[: len(content) // 2])
+    with pytest.raises(InputError, match=r"cut\.avi: ends early: \d of 12 announced frames could be read; copy it again, or keep"):
+        list(Footage(tmp_path / "cut.avi").stills())
+    assert numbers(Footage(tmp_path / "v.avi")) == list(range(12))
+
+
+def test_the_digest_follows_the_bytes(tmp_path):
+    folder = write_frames(tmp_path / "f", [frame(0), frame(1)])
+    before = Footage(folder).digest()
+    assert Footage(folder).digest() == before
+    write_frames(folder, [frame(0), frame(1.5)])
+    assert Footage(folder).digest() != before
+
+
+def test_a_frame_of_another_size_is_named_with_both_sizes(tmp_path):
+    folder = write_frames(tmp_path / "f", [frame(0), frame(1), frame(2, size=(100, 120))])
+    with pytest.raises(InputError, match=r"000002\.png: frame 2 has 120×100 pixels, the first one 256×216"):
+        list(Footage(folder).stills())
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("nothing", None, "there is no such file or folder"),
+        ("empty", "folder", "holds no images"),
+        (
+            "text.mp4",
+            b"no video at all",
+            "no video that can be decoded, or one without frames; copy it again, or convert it: ffmpeg -i text.mp4 ",
+        ),
+        ("photo.png", b"", "is a single image"),
+    ],
+)
+def test_what_is_no_footage_is_named_with_what_to_do(tmp_path, name, content, said):
+    path = tmp_path / name
+    if content == "folder":
+        path.mkdir()
+    elif content is not None:
+        path.write_bytes(content)
+    with pytest.raises(InputError, match=f"{name}: .*{said}"):
+        Footage(path)
+
+
+def test_a_damaged_frame_is_named(tmp_path):
+    folder = write_frames(tmp_path / "f", [frame(0), frame(1)])
+    whole = (folder / "000001.png").read_bytes()
+    (folder / "000001.png").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(InputError, match=r"000001\.png: truncated"):
+        list(Footage(folder).stills())

@@ -1,0 +1,147 @@
+"""A camera that is given, found or estimated is the true one, and one that cannot be is refused."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+from own_film import chessboards
+
+from data_scripts.own import camera
+from data_scripts.own.camera import Straightener, calibrate, camera_of_field, camera_of_file, camera_of_numbers
+from dualdepth.errors import InputError
+
+SIZE = (240, 320)
+TRUE = np.array([[290.0, 0, 163], [0, 285.0, 117], [0, 0, 1]])
+LENS = (-0.22, 0.06, 0.0, 0.0, 0.0)
+
+
+@pytest.fixture(scope="module")
+def boards():
+    return [(f"view {k}", image) for k, image in enumerate(chessboards(TRUE, LENS, SIZE))]
+
+
+@pytest.fixture(scope="module")
+def found(boards):
+    return calibrate(boards, (9, 6), SIZE, "boards")
+
+
+def test_a_chessboard_gives_the_camera_that_rendered_it(found):
+    assert np.abs(found.matrix - TRUE).max() < 3, found.matrix  # 1 % of the focal length
+    assert found.distortion[0] == pytest.approx(LENS[0], abs=0.03)
+    assert "9x6 inner corners in 12 of 12 views" in found.origin and "RMS error 0." in found.origin
+
+
+def test_a_boards_squares_are_understood_as_well_as_its_inner_corners(boards, found):
+    assert np.allclose(calibrate(boards, (10, 7), SIZE, "boards").matrix, found.matrix)
+
+
+def test_undistorted_frames_are_those_of_a_pinhole(found, boards):
+    straight = Straightener(found)
+    corners = 0
+    for _, image in boards:
+        there, places = cv2.findChessboardCornersSB(cv2.cvtColor(straight(image), cv2.COLOR_RGB2GRAY), (9, 6), None)
+        if not there:
+            continue
+        corners += 1
+        grid = places.reshape(6, 9, 2)
+        for line in [*grid, *grid.transpose(1, 0, 2)]:  # straight lines of the board are straight in the picture
+            direction = np.linalg.svd(line - line.mean(0))[2][1]
+            assert np.abs((line - line.mean(0)) @ direction).max() < 0.35
+    assert corners >= 6 and "undistorted" in straight.camera.origin
+
+
+def test_views_without_a_board_and_too_few_with_one_are_refused(boards):
+    blank = [(f"blank {k}", np.full((*SIZE, 3), 128, np.uint8)) for k in range(3)]
+    with pytest.raises(InputError, match=r"boards: the whole board of 9x6 was found in 2 of 5 views, 8 are needed; check --squares"):
+        calibrate([*boards[:2], *blank], (9, 6), SIZE, "boards")
+
+
+def test_a_board_that_no_camera_explains_is_refused_with_its_error(boards, monkeypatch):
+    monkeypatch.setattr(camera, "REPROJECTION", 0.01)  # finer than these pixels can tell
+    with pytest.raises(InputError, match=r"boards: the corners are off by 0\.\d\d pixels \(RMS\), at most 0\.01 is taken; use a"):
+        calibrate(boards, (9, 6), SIZE, "boards")
+
+
+def test_boards_of_another_size_than_the_frames_are_refused(boards):
+    with pytest.raises(InputError, match="view 0: has 320×240 pixels, the frames have 640×480"):
+        calibrate(boards, (9, 6), (480, 640), "boards")
+
+
+def test_an_estimate_from_the_field_of_view_is_a_pinholes_and_says_that_it_is_one():
+    wide = camera_of_field(90, (1080, 1920))
+    assert wide.matrix[0, 0] == pytest.approx(960) and wide.matrix[1, 1] == pytest.approx(960)
+    assert tuple(wide.matrix[:2, 2]) == (959.5, 539.5) and wide.field == pytest.approx(90)
+    assert wide.origin.startswith("ESTIMATED")
+
+
+def test_numbers_are_taken_as_they_are():
+    assert np.allclose(camera_of_numbers("290,285,163,117", SIZE).matrix, TRUE)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("290,285,163", "give fx,fy,cx,cy"),
+        ("a,b,c,d", "give fx,fy,cx,cy"),
+        ("nan,285,163,117", "must be finite"),
+        ("-290,285,163,117", "above 0"),
+        ("4.2,4.2,163,117", "a field of view of 177 degrees, not 20 to 150"),
+        ("2900,2850,163,117", "a field of view of 6 degrees"),
+        ("290,900,163,117", "fx and fy differ by more than a factor of two"),
+        ("290,285,400,117", "the centre lies outside of the frame"),
+        ("290,285,163,-1", "the centre lies outside of the frame"),
+    ],
+)
+def test_numbers_that_cannot_be_are_refused_with_what_to_do(text, said):
+    with pytest.raises(InputError, match=said):
+        camera_of_numbers(text, SIZE)
+
+
+@pytest.mark.parametrize("degrees", [0.5, 19, 151, 400, float("nan")])
+def test_a_field_of_view_that_cannot_be_is_refused(degrees):
+    with pytest.raises(InputError, match="20 to 150"):
+        camera_of_field(degrees, SIZE)
+
+
+def test_a_record_is_read_back_as_the_same_camera(tmp_path, found):
+    path = tmp_path / "own.json"
+    path.write_text(json.dumps({"camera": found.record()}))
+    again = camera_of_file(path, SIZE)
+    assert np.allclose(again.matrix, found.matrix, atol=1e-4) and again.distortion == found.distortion
+    with pytest.raises(InputError, match="is of 320×240 pixels, the frames have 640×480"):
+        camera_of_file(path, (480, 640))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("{", "cannot be read"),
+        ("[1, 2]", "cannot be read"),
+        ('{"fx": 290, "fy": 285, "cx": 163}', "cannot be read .*cy"),
+        ('{"fx": 290, "fy": 285, "cx": 163, "cy": 117, "distortion": [1, 2, 3]}', "distortion has 3 numbers"),
+    ],
+)
+def test_a_json_that_is_no_camera_is_refused(tmp_path, text, said):
+    (tmp_path / "c.json").write_text(text)
+    with pytest.raises(InputError, match=rf"c\.json: {said}"):
+        camera_of_file(tmp_path / "c.json", SIZE)
+
+
+@pytest.mark.parametrize("named", ["P_rect_02: ", "P2: ", "P0: ", ""])
+def test_kittis_calibration_files_are_read(tmp_path, named):
+    (tmp_path / "calib.txt").write_text(f"{named}290 0 163 4.5 0 285 117 0.2 0 0 1 0.003\n")
+    assert np.allclose(camera_of_file(tmp_path / "calib.txt", SIZE).matrix, TRUE)
+
+
+def test_kittis_calibration_of_frames_of_another_size_is_refused(tmp_path):
+    path = tmp_path / "calib_cam_to_cam.txt"
+    path.write_text("S_rect_02: 1242 375\nP_rect_02: 721 0 609 0 0 721 172 0 0 0 1 0\n")
+    assert camera_of_file(path, (375, 1242)).matrix[0, 0] == 721
+    with pytest.raises(InputError, match="is of 1242×375 pixels, the frames have 640×193"):
+        camera_of_file(path, (193, 640))
+
+
+def test_the_calibration_of_real_sequence_06_is_read(real):
+    grey = camera_of_file(real("kitti_odometry/sequences/06/calib_p0_p1.txt"), (370, 1226))
+    assert grey.matrix[0, 0] == pytest.approx(707.0912) and grey.field == pytest.approx(81.8, abs=0.1)

@@ -1,0 +1,169 @@
+"""Unpacking of zip and tar archives that cannot be trusted."""
+
+import gzip
+import io
+import shutil
+import stat
+import tarfile
+import zipfile
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from loopback import zip_of
+from tqdm import tqdm
+
+from data_scripts.archives import BadArchiveError, unpack
+from dualdepth.errors import InputError
+
+
+def left_over(folder):
+    return sorted(path.name for path in folder.rglob("*"))
+
+
+def tar_of(members):
+    """A gzipped tar of files (bytes) and of special members (`tarfile.TarInfo`) by name."""
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode="w:gz") as tar:
+        for member, content in members.items():
+            if isinstance(content, tarfile.TarInfo):
+                tar.addfile(content)
+                continue
+            info = tarfile.TarInfo(member)
+            info.size = len(content)
+            tar.addfile(info, io.BytesIO(content))
+    return buffer.getvalue()
+
+
+def special(name, kind, target=""):
+    info = tarfile.TarInfo(name)
+    info.type, info.linkname = kind, target
+    return info
+
+
+@pytest.fixture(params=[zip_of, tar_of], ids=["zip", "tar"])
+def archive_of(request, tmp_path):
+    """Writes an archive of these members, of either kind."""
+
+    def write(members):
+        path = tmp_path / ("a.zip" if request.param is zip_of else "a.tar.gz")
+        path.write_bytes(request.param(members))
+        return path
+
+    return write
+
+
+def write(path, content):
+    path.write_bytes(content)
+    return path
+
+
+def refuse(archive, match, kind=BadArchiveError, **settings):
+    folder = archive.parent / "out"
+    with pytest.raises(kind, match=match):
+        unpack(archive, folder, **settings)
+    assert left_over(archive.parent) in ([archive.name], [archive.name, "out"])
+
+
+def test_members_are_placed_and_left_out_and_all_are_read(archive_of, tmp_path):
+    archive = archive_of({"top/keep/a.txt": b"aaa", "top/drop/b.txt": b"b", "top/c.txt": b""})
+    bar = tqdm(disable=False, file=io.StringIO())
+    unpacked = unpack(archive, tmp_path / "out", lambda name: None if "drop" in name else name.removeprefix("top/"), bar)
+    assert unpacked == (2, 3, {}) and bar.total == bar.n == 4
+    assert left_over(tmp_path / "out") == ["a.txt", "c.txt", "keep"]
+    assert (tmp_path / "out" / "keep" / "a.txt").read_bytes() == b"aaa"
+
+
+def test_folders_of_a_tar_and_dots_before_its_names_are_passed_over(tmp_path):
+    archive = write(tmp_path / "a.tar.gz", tar_of({"./": special("./", tarfile.DIRTYPE), "./top/a.txt": b"aaa"}))
+    assert unpack(archive, tmp_path / "out").files == 1 and left_over(tmp_path / "out") == ["a.txt", "top"]
+
+
+@pytest.mark.parametrize(
+    "name", ["../outside.txt", "a/../../outside.txt", "/outside.txt", "a/./b.txt", "./../outside.txt", "..\\outside.txt", "C:/outside.txt"]
+)
+@pytest.mark.parametrize("place", [str, lambda name: "wanted.txt"])
+def test_members_that_point_outside_are_refused(archive_of, name, place):
+    refuse(archive_of({"good.txt": b"good", name: b"evil"}), "points outside of the folder", place=place)
+
+
+def test_a_place_that_points_outside_is_refused(archive_of):
+    refuse(archive_of({"a.txt": b"a"}), "points outside of the folder", place=lambda name: f"../{name}")
+
+
+PLACES = [str, lambda name: name if name == "good.txt" else None]
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_links_in_a_zip_are_refused(tmp_path, place):
+    link = zipfile.ZipInfo("link")
+    link.external_attr = (stat.S_IFLNK | 0o777) << 16
+    refuse(write(tmp_path / "a.zip", zip_of({"good.txt": b"good", link: b"/etc"})), "'link' is a link", place=place)
+
+
+@pytest.mark.parametrize("kind", [tarfile.SYMTYPE, tarfile.LNKTYPE, tarfile.CHRTYPE, tarfile.BLKTYPE, tarfile.FIFOTYPE])
+@pytest.mark.parametrize("place", PLACES)
+def test_links_and_devices_in_a_tar_are_refused(tmp_path, kind, place):
+    archive = write(tmp_path / "a.tar.gz", tar_of({"good.txt": b"good", "odd": special("odd", kind, "good.txt")}))
+    refuse(archive, "'odd' is a link or a special file", place=place)
+
+
+@pytest.mark.parametrize("keep", [5, 30, 0.5, -9, -1])
+def test_a_truncated_archive_is_refused(archive_of, keep):
+    archive = archive_of({"a.txt": b"a", "b.bin": np.random.default_rng(0).bytes(50000)})
+    whole = archive.read_bytes()
+    refuse(write(archive, whole[: keep if isinstance(keep, int) else int(keep * len(whole))]), "not a whole zip or gzipped tar archive")
+
+
+@pytest.mark.parametrize("place", [str, lambda name: None if name == "bad.txt" else name])
+def test_a_corrupted_member_leaves_nothing_even_when_it_is_not_wanted(tmp_path, place):
+    members = {"good.txt": b"good", "bad.txt": b"corrupt me"}
+    archive = write(tmp_path / "a.zip", zip_of(members).replace(b"corrupt me", b"corrupt ME"))
+    refuse(archive, r"Bad CRC-32 for file 'bad.txt'", place=place)
+    plain = gzip.compress(gzip.decompress(tar_of(members)), compresslevel=0)
+    refuse(write(archive, plain.replace(b"corrupt me", b"corrupt ME")), "CRC check failed", place=place)
+
+
+@pytest.mark.parametrize("content", [b"", b"no archive at all", gzip.compress(b"no tar at all" * 100)])
+def test_what_is_no_archive_is_refused(tmp_path, content):
+    refuse(write(tmp_path / "a", content), "not a whole zip or gzipped tar archive")
+
+
+def test_what_the_archive_announces_must_fit_the_disk(archive_of, monkeypatch):
+    archive = archive_of({"a.txt": b"a" * 5_000_000})
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=10**6))
+    refuse(archive, r"needs 5\.0 MB of disk and 1\.0 MB are free: 4\.0 MB missing", InputError)
+
+
+def test_a_member_of_a_zip_never_yields_more_than_it_announces(tmp_path):
+    content = zip_of({"a.txt": b"a" * 5000}).replace((5000).to_bytes(4, "little"), (10).to_bytes(4, "little"))
+    refuse(write(tmp_path / "a.zip", content), "not a whole zip")
+
+
+def test_an_archive_that_swells_is_refused_before_it_does(archive_of):
+    refuse(archive_of({"zeros.bin": bytes(3_000_000)}), "unpacks to more than 0.0 GB", limit=1_000_000)
+
+
+def test_a_tar_that_swells_between_or_behind_its_files_is_refused(tmp_path):
+    folders = tar_of({str(k): special(str(k), tarfile.DIRTYPE) for k in range(3000)})
+    behind = gzip.compress(gzip.decompress(tar_of({"a.txt": b"a"})) + bytes(5_000_000))
+    for content in (folders, behind):
+        refuse(write(tmp_path / "a.tar.gz", content), "unpacks to more than 0.0 GB", limit=1_000_000)
+
+
+def test_what_a_check_refuses_leaves_nothing_and_what_it_finds_is_told(archive_of, tmp_path):
+    def check(folder):
+        if left_over(folder) != ["a.txt"]:
+            raise BadArchiveError("other files")
+        return {"found": 1}
+
+    refuse(archive_of({"b.txt": b"b"}), "other files", check=check)
+    assert unpack(archive_of({"a.txt": b"a"}), tmp_path / "out", check=check).found == {"found": 1}
+
+
+def test_unpacking_over_an_interrupted_run_starts_afresh(archive_of, tmp_path):
+    archive = archive_of({"a/b.txt": b"new"})
+    (tmp_path / "out" / f".{archive.name}.unpacking").mkdir(parents=True)
+    (tmp_path / "out" / f".{archive.name}.unpacking" / "stale").write_bytes(b"old")
+    unpack(archive, tmp_path / "out")
+    assert left_over(tmp_path / "out") == ["a", "b.txt"]

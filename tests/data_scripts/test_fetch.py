@@ -1,0 +1,148 @@
+"""Downloads, against a real HTTP server on loopback."""
+
+import errno
+import hashlib
+import socket
+import urllib.request
+
+import pytest
+from loopback import running
+
+import data_scripts.fetch as module
+from data_scripts.fetch import ChecksumError, NotThereError, fetch, remote_size
+from dualdepth.errors import InputError
+
+CONTENT = bytes(range(256)) * 8192  # 2 MiB
+SHA256 = f"sha256:{hashlib.sha256(CONTENT).hexdigest()}"
+
+
+@pytest.fixture
+def server(monkeypatch):
+    monkeypatch.setenv("no_proxy", "127.0.0.1")
+    monkeypatch.setattr(module, "PAUSES", (0.0, 0.0))
+    with running() as loopback:
+        loopback.files["file.bin"] = CONTENT
+        yield loopback
+
+
+def get(server, folder, **settings):
+    return fetch(f"{server.home}file.bin", folder / "file.bin", **settings)
+
+
+def left_over(folder):
+    return sorted(path.name for path in folder.rglob("*"))
+
+
+def test_a_file_arrives_whole_and_alone(server, tmp_path):
+    assert get(server, tmp_path / "new" / "folder", digest=SHA256).read_bytes() == CONTENT
+    assert left_over(tmp_path / "new" / "folder") == ["file.bin"]
+    assert remote_size(f"{server.home}file.bin") == len(CONTENT)
+
+
+def test_a_cut_connection_is_resumed_and_only_the_rest_is_sent(server, tmp_path):
+    server.cuts = [700_000, 300_000]
+    assert get(server, tmp_path, digest=SHA256).read_bytes() == CONTENT
+    assert server.sent == [700_000, 300_000, len(CONTENT) - 1_000_000]
+    assert [asked for _, _, asked, _ in server.requests] == [None, "bytes=700000-", "bytes=1000000-"]
+
+
+def test_a_second_run_goes_on_where_the_first_gave_up(server, tmp_path):
+    server.cuts = [500_000, 0, 0, 0]
+    with pytest.raises(InputError, match=r"keeps breaking .* run again, it goes on after 0\.5 MB"):
+        get(server, tmp_path)
+    assert left_over(tmp_path) == ["file.bin.part", "file.bin.part.etag"]
+    assert get(server, tmp_path, digest=SHA256).read_bytes() == CONTENT
+    assert server.sent[-1] == len(CONTENT) - 500_000
+
+
+def test_bytes_that_come_reset_the_patience(server, tmp_path):
+    server.cuts = [300_000] * 6  # more cuts than attempts in a row are made
+    assert get(server, tmp_path, digest=SHA256).read_bytes() == CONTENT
+
+
+def test_a_run_stopped_just_before_the_end_downloads_nothing_again(server, tmp_path):
+    (tmp_path / "file.bin.part").write_bytes(CONTENT)
+    (tmp_path / "file.bin.part.etag").write_text('"first"')
+    assert get(server, tmp_path, digest=SHA256).read_bytes() == CONTENT
+    assert sum(server.sent) == 0
+
+
+def test_a_server_without_ranges_starts_over(server, tmp_path):
+    server.ranges, server.cuts = False, [500_000]
+    assert get(server, tmp_path, digest=SHA256).read_bytes() == CONTENT
+    assert server.sent == [500_000, len(CONTENT)]
+
+
+def test_a_file_that_changed_on_the_server_starts_over(server, tmp_path):
+    server.cuts = [500_000, 0, 0, 0]
+    with pytest.raises(InputError):
+        get(server, tmp_path)
+    server.files["file.bin"], server.etags["file.bin"] = CONTENT[::-1], '"second"'
+    assert get(server, tmp_path).read_bytes() == CONTENT[::-1]
+
+
+def test_without_a_mark_of_the_version_a_part_is_not_trusted(server, tmp_path):
+    (tmp_path / "file.bin.part").write_bytes(b"of who knows what")
+    assert get(server, tmp_path, digest=SHA256).read_bytes() == CONTENT
+
+
+def test_a_failing_server_is_asked_again(server, tmp_path):
+    server.failures = [503, 500]
+    assert get(server, tmp_path, digest=SHA256).read_bytes() == CONTENT
+    server.failures = [503] * 3
+    with pytest.raises(InputError, match=r"the server fails .HTTP 503.; try again later"):
+        fetch(f"{server.home}file.bin", tmp_path / "other")
+
+
+def test_a_wrong_checksum_is_told_and_leaves_nothing(server, tmp_path):
+    with pytest.raises(ChecksumError, match="wrong checksum, md5 is"):
+        get(server, tmp_path, digest="md5:" + "0" * 32)
+    assert left_over(tmp_path) == []
+
+
+def test_a_file_that_is_there_is_verified_without_the_network(server, tmp_path):
+    (tmp_path / "file.bin").write_bytes(CONTENT)
+    get(server, tmp_path, digest=SHA256)
+    (tmp_path / "file.bin").write_bytes(b"edited")
+    with pytest.raises(InputError, match="delete it to have it downloaded again"):
+        get(server, tmp_path, digest=SHA256)
+    assert (tmp_path / "file.bin").read_bytes() == b"edited"
+    assert server.requests == []
+
+
+def test_a_missing_file_is_told_at_once(server, tmp_path):
+    for action in (lambda: fetch(f"{server.home}nothing", tmp_path / "nothing"), lambda: remote_size(f"{server.home}nothing")):
+        with pytest.raises(NotThereError, match=r"nothing: not there \(HTTP 404\)"):
+            action()
+    assert len(server.requests) == 2
+    assert left_over(tmp_path) == []
+
+
+def test_no_network_is_told_with_the_mend(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "PAUSES", (0.0, 0.0))
+    with socket.socket() as taken:  # bound and never listening: refuses connections
+        taken.bind(("127.0.0.1", 0))
+        with pytest.raises(InputError, match=r"no network: .* cannot be reached .* if you have KITTI, give KITTI_ROOT"):
+            remote_size(f"http://127.0.0.1:{taken.getsockname()[1]}/file")
+
+
+@pytest.mark.parametrize("address", ["http://example.org/file", "file:///etc/passwd", "ftp://127.0.0.1/file"])
+def test_only_https_is_downloaded(address, tmp_path):
+    with pytest.raises(InputError, match="only https"):
+        fetch(address, tmp_path / "file")
+
+
+def test_redirects_are_not_followed():
+    request = urllib.request.Request("https://example.org/a")
+    with pytest.raises(InputError, match=r"redirects to https://elsewhere\.org"):
+        module._NoRedirect().redirect_request(request, None, 302, "Found", {}, "https://elsewhere.org/a")
+
+
+def test_a_full_disk_is_told_once_and_not_retried(server, tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(module, "write_text", full)
+    with pytest.raises(InputError, match="the disk is full"):
+        get(server, tmp_path)
+    assert len(server.requests) == 1

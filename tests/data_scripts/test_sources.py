@@ -1,0 +1,77 @@
+"""The manifest of public addresses, and the field's lists."""
+
+import hashlib
+import shutil
+
+import pytest
+from loopback import running
+
+from data_scripts import sources
+from data_scripts.sources import LISTS, drive_archives, named_list
+from dualdepth.data.kitti import read_frame_list, read_static_frames, read_test_scenes
+from dualdepth.errors import InputError
+
+
+@pytest.fixture
+def server(monkeypatch):
+    monkeypatch.setenv("no_proxy", "127.0.0.1")
+    with running() as loopback:
+        yield loopback
+
+
+def test_each_days_calibration_comes_once_before_its_drives():
+    archives = drive_archives(["2011_10_03_drive_0034", "2011_09_26/2011_09_26_drive_0013_sync", "2011_09_26_drive_0013_sync"])
+    assert [archive.address for archive in archives] == [
+        "raw_data/2011_09_26_calib.zip",
+        "raw_data/2011_09_26_drive_0013/2011_09_26_drive_0013_sync.zip",
+        "raw_data/2011_10_03_calib.zip",
+        "raw_data/2011_10_03_drive_0034/2011_10_03_drive_0034_sync.zip",
+    ]
+
+
+@pytest.mark.parametrize("drive", ["0095", "2011_09_27_drive_0001", "2011_09_26/2011_09_28_drive_0001_sync", "../2011_09_26_drive_0001"])
+def test_a_misspelt_drive_is_told(drive):
+    with pytest.raises(InputError, match="expected a name like"):
+        drive_archives([drive])
+
+
+def test_a_list_falls_back_to_its_second_home(server, tmp_path, monkeypatch):
+    text = b"2011_09_26/2011_09_26_drive_0052_sync 0000000003 l\n"
+    entry = sources.FieldList(("gone", "there"), "list.txt", hashlib.sha256(text).hexdigest())
+    monkeypatch.setitem(LISTS, "eigen_test", entry)
+    server.files["there/list.txt"] = text
+    assert named_list("eigen_test", tmp_path, server.home).read_bytes() == text
+    named_list("eigen_test", tmp_path, server.home)
+    assert len(server.requests) == 2  # the second home's answer is cached
+
+
+def test_an_unknown_list_names_the_known_ones(tmp_path):
+    with pytest.raises(InputError, match=r"choose one of eigen_test, .*sample_test"):
+        named_list("eigen", tmp_path)
+
+
+@pytest.fixture
+def cached_lists(real, tmp_path):
+    for name, entry in LISTS.items():
+        origin = "sfmlearner" if entry.homes == sources.SFMLEARNER else "monodepth2"
+        shutil.copy(real("splits") / origin / entry.path, tmp_path / f"{name}.txt")
+    return tmp_path
+
+
+def test_checksums_of_the_lists_are_those_of_the_unchanged_copies(cached_lists):
+    for name in LISTS:
+        assert named_list(name, cached_lists, "https://127.0.0.1:1/").is_file()
+
+
+def test_the_lists_hold_what_the_field_says(cached_lists):
+    expected = {"eigen_test": 697, "eigen_zhou_train": 39810, "eigen_zhou_val": 4424, "eigen_improved": 652}
+    assert {name: len(read_frame_list(named_list(name, cached_lists))) for name in expected} == expected
+    assert len(read_static_frames(named_list("static_frames", cached_lists))) == 8044
+    assert len(read_test_scenes(named_list("test_scenes", cached_lists))) == 28
+
+
+def test_the_samples_list_is_the_eigen_frames_of_two_drives(cached_lists):
+    frames = read_frame_list(named_list("sample_test", cached_lists))
+    every = read_frame_list(named_list("eigen_test", cached_lists))
+    assert frames == [f for f in every if f.drive[-9:-5] in ("0052", "0013") and f.date == "2011_09_26"]
+    assert {frame.drive[-9:-5] for frame in frames} == {"0052", "0013"}

@@ -1,0 +1,108 @@
+"""No drive is scored that was trained on, unless asked for, and then the result says so."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from dualdepth.cli import main
+from dualdepth.data.depth_maps import save_ground_truth
+from dualdepth.data.odometry import drives_of, write_trajectory
+from dualdepth.errors import InputError
+from dualdepth.evaluation.leaks import check_leak
+from dualdepth.training.weights import save_weights
+
+RAW_33 = "2011_09_30/2011_09_30_drive_0033_sync"
+CARD = {"drives": ["2011_09_26/2011_09_26_drive_0001_sync", RAW_33]}
+
+
+def test_other_drives_pass_silently():
+    assert check_leak(CARD, ["2011_09_26/2011_09_26_drive_0002_sync"], allow=False) == ""
+    assert check_leak(CARD, [], allow=False) == ""
+
+
+def test_a_leak_is_refused_by_name_with_the_mend():
+    with pytest.raises(InputError, match=r"model\.safetensors: was trained on .*drive_0033_sync.*--allow-leak"):
+        check_leak(CARD, [RAW_33], allow=False, weights="model.safetensors")
+
+
+def test_an_allowed_leak_marks_the_result():
+    assert check_leak(CARD, [RAW_33, "other"], allow=True) == f"LEAK: trained on {RAW_33}"
+
+
+def test_odometry_sequence_09_is_an_eigen_training_drive():
+    with pytest.raises(InputError, match="drive_0033"):
+        check_leak(CARD, drives_of(["09"], world=False), allow=False)
+    check_leak(CARD, drives_of(["09"], world=True), allow=False)
+
+
+def test_a_card_without_drives_cannot_be_trusted():
+    with pytest.raises(InputError, match="does not say which drives"):
+        check_leak({}, [RAW_33], allow=False)
+
+
+@pytest.fixture
+def scored(tmp_path, monkeypatch):
+    """Predictions, ground truth and a list of two frames of drive 0001, and a trajectory, in the working directory."""
+    monkeypatch.chdir(tmp_path)
+    np.save("P.npy", np.full((2, 4, 6), 5.0, np.float32))
+    save_ground_truth("G.npz", [np.full((40, 60), 5.0, np.float32)] * 2)
+    (tmp_path / "list.txt").write_text("".join(f"2011_09_26/2011_09_26_drive_0001_sync {i:010d} l\n" for i in range(2)))
+    poses = np.tile(np.eye(4), (5, 1, 1))
+    poses[:, 2, 3] = np.arange(5)
+    write_trajectory("poses.txt", poses)
+
+
+def weights(drives):
+    save_weights("W.safetensors", torch.nn.Linear(1, 1), {"drives": drives})
+
+
+DEPTH = ["evaluate", "depth", "--pred", "P.npy", "--gt", "G.npz", "--json", "-", "--weights", "W.safetensors", "--list", "list.txt"]
+POSES = ["evaluate", "odometry", "--pred", "poses.txt", "--gt", "poses.txt", "--json", "-"]
+POSES += ["--weights", "W.safetensors", "--sequence", "09"]
+
+
+@pytest.mark.parametrize("command", [DEPTH, POSES])
+def test_the_commands_refuse_a_leak_unless_allowed(scored, capsys, command):
+    weights(CARD["drives"])
+    with pytest.raises(SystemExit) as stop:
+        main(command)
+    assert stop.value.code == 2 and "W.safetensors: was trained on" in capsys.readouterr().err
+    assert main([*command, "--allow-leak"]) == 0
+    assert json.loads(capsys.readouterr().out)["leak"].startswith("LEAK: trained on 2011_")
+    weights(["2011_09_26/2011_09_26_drive_0009_sync"])
+    assert main(command) == 0
+    assert "leak" not in json.loads(capsys.readouterr().out)
+
+
+@pytest.mark.parametrize(
+    ("trained", "sequence", "said"),
+    [
+        ("odometry/09", "09", "was trained on odometry/09"),
+        ("x", "9", "sequence '9': give one of 00, 01"),
+        ("x", "seq09", "sequence 'seq09'"),
+    ],
+)
+def test_sequences_of_the_world_are_guarded_too_and_must_be_named_well(scored, capsys, trained, sequence, said):
+    weights([trained])
+    with pytest.raises(SystemExit):
+        main([*POSES[:-1], sequence])
+    assert said in capsys.readouterr().err
+
+
+def test_a_list_of_other_frames_guards_nothing(scored, capsys):
+    weights([])
+    Path("list.txt").write_text("2011_09_26/2011_09_26_drive_0001_sync 0000000000 l\n")
+    with pytest.raises(SystemExit):
+        main(DEPTH)
+    assert "list.txt: lists 1 frames but G.npz holds 2" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", ["--weights", "--list"])
+def test_one_option_without_the_other_guards_nothing(scored, capsys, option):
+    at = DEPTH.index(option)
+    with pytest.raises(SystemExit):
+        main(DEPTH[:at] + DEPTH[at + 2 :])
+    assert "--weights and --list guard together" in capsys.readouterr().err

@@ -1,0 +1,214 @@
+"""Exported networks: the same disparities as PyTorch's for any batch, no more than what shapes them, and nothing half-written."""
+
+import importlib.util
+import json
+import math
+import shutil
+import tomllib
+
+import cv2
+import numpy as np
+import onnx
+import pytest
+import torch
+from small_kitti import wall
+from torch import nn
+
+from dualdepth.cli import main
+from dualdepth.errors import InputError
+from dualdepth.inference import export
+from dualdepth.inference.export import TOLERANCE, ImageToDisparity, export_onnx, made_up_images, run_onnx
+from dualdepth.inference.predict import load_depth_net, predict_disparities
+from dualdepth.networks.architecture import Architecture
+from dualdepth.run import project_root
+from dualdepth.training.weights import save_weights
+
+SIZE = (192, 288)
+
+
+def decoder_of(net):
+    """The decoder whose disparity is exported."""
+    return net.hr_net.decoder if hasattr(net, "hr_net") else net.decoder
+
+
+@torch.no_grad()
+def spread(net, low):
+    """New weights give one disparity everywhere; let these have statistics and reach from near to far, as trained ones do."""
+    images = torch.from_numpy(np.stack(made_up_images(SIZE)))
+    images = nn.functional.avg_pool2d(images, 3) if low else images
+    for module in net.modules():
+        if isinstance(module, nn.BatchNorm2d):
+            module.momentum = 1.0  # one batch is the whole statistics
+    net.train()(images)
+    seen = []
+    head = decoder_of(net.eval()).heads[-1]  # the layer before the finest disparity's sigmoid
+    with head.register_forward_hook(lambda _module, _inputs, logits: seen.append(logits)):
+        net(images)
+    gain = 2 / seen[0].std()
+    head.bias.copy_((head.bias - seen[0].mean()) * gain)
+    head.weight.mul_(gain)
+
+
+@pytest.fixture(scope="module")
+def save(encoder, tmp_path_factory):
+    """Saves weights as a training does, in a folder of their own; gives their path."""
+
+    def call(network):
+        torch.manual_seed(0)
+        architecture = Architecture(network=network, encoder=encoder)
+        net = architecture.build()
+        spread(net, architecture.sees_low_resolution)
+        whole = nn.ModuleDict({"depth_net": net, "pose_net": nn.Linear(1, 1)})
+        path = tmp_path_factory.mktemp("weights") / "model.safetensors"
+        save_weights(path, whole, architecture.model_dump() | {"hr_size": list(SIZE), "about": "a test", "drives": ["street/1"]})
+        return path
+
+    return call
+
+
+@pytest.fixture(scope="module")
+def weights(save):
+    """Of LR-Net, whose graph is written soonest and averages the image."""
+    return save("lr")
+
+
+@pytest.fixture(scope="module")
+def lr_file(weights, tmp_path_factory):
+    """These, exported: some seconds, so once."""
+    return export_onnx(weights, tmp_path_factory.mktemp("file") / "depth.onnx").path
+
+
+@pytest.fixture
+def written_already(lr_file, monkeypatch):
+    """An export that writes that file."""
+    monkeypatch.setattr(export, "write_onnx", lambda net, size, path, words: shutil.copy(lr_file, path))
+
+
+def count(module):
+    """Numbers in its parameters."""
+    return sum(parameter.numel() for parameter in module.parameters())
+
+
+def check_graph(weights, file, paths):
+    """The file gives PyTorch's disparities of images in any batch, and holds the numbers that shape them and no others."""
+    depth_net = load_depth_net(weights)
+    expected = predict_disparities(depth_net, paths)  # from the files: resized, and averaged for LR-Net
+    assert expected.max() > 1.5 * expected.min()
+    images = np.stack([export._read(path, SIZE) for path in paths])
+    together, *alone = run_onnx(file, [images, *(image[None] for image in images)])
+    for found in (together, np.concatenate(alone)):
+        np.testing.assert_allclose(found[:, 0], expected, rtol=TOLERANCE)
+        assert np.median(np.abs(found[:, 0] / expected - 1)) < 1e-5
+    net = depth_net.net
+    unused = [*decoder_of(net).heads[:-1], *([net.lr_net.decoder] if hasattr(net, "lr_net") else [])]
+    written = sum(math.prod(tensor.dims) for tensor in onnx.load(file).graph.initializer)
+    assert abs(written / (count(net) - sum(map(count, unused))) - 1) < 0.01  # batch norm goes into the convolutions
+
+
+@pytest.fixture(scope="module")
+def frames(tmp_path_factory):
+    """Three image files of another size than the network's."""
+    folder = tmp_path_factory.mktemp("frames")
+    for seed in range(3):
+        cv2.imwrite(str(folder / f"{seed}.png"), wall(100, 310, seed=seed))
+    return sorted(folder.iterdir())
+
+
+@pytest.mark.slow
+def test_the_dual_network_gives_pytorchs_disparities_in_any_batch(save, frames, tmp_path, capfd):
+    weights, out = save("dual"), tmp_path / "new folder" / "depth.onnx"
+    assert main(["export", "--to", "onnx", "--weights", str(weights), "--out", str(out), "--frames", *map(str, frames)]) == 0
+    said = capfd.readouterr()
+    assert "image (B, 3, 192, 288) -> disparity (B, 1, 192, 288)" in said.out
+    assert "largest relative difference from PyTorch on 3 images" in said.out and said.err == ""
+    check_graph(weights, out, frames)
+
+
+def test_lr_net_takes_the_frame_itself_and_gives_a_third_of_its_size(weights, lr_file, frames):
+    assert run_onnx(lr_file, [np.zeros((2, 3, *SIZE), np.float32)])[0].shape == (2, 1, 64, 96)
+    check_graph(weights, lr_file, frames)
+    depth_net, image = load_depth_net(weights), torch.from_numpy(made_up_images(SIZE, 1)[0])[None]
+    averaged = image.reshape(1, 3, SIZE[0] // 3, 3, SIZE[1] // 3, 3).mean((3, 5))
+    with torch.inference_mode():
+        assert torch.allclose(ImageToDisparity(depth_net)(image), depth_net.net(averaged).disparities[0], rtol=1e-4)
+
+
+def test_the_file_says_what_it_is_and_nothing_of_this_machine(weights, lr_file):
+    said = {entry.key: entry.value for entry in onnx.load(lr_file).metadata_props}
+    assert set(said) == {"about", "image", "disparity", "scale", "hr_size", "card"}
+    assert said["about"] == "a test" and "[0, 1]" in said["image"] and "relative" in said["scale"] and said["hr_size"] == "[192, 288]"
+    assert json.loads(said["card"]) == json.loads(weights.with_suffix(".json").read_text())
+    assert str(project_root()).encode() not in lr_file.read_bytes()
+
+
+@pytest.mark.usefixtures("written_already")
+def test_a_file_that_differs_from_pytorch_is_not_left(weights, tmp_path, capfd):
+    net = load_depth_net(weights).net
+    decoder_of(net).heads[-1].bias.data.add_(0.1)
+    folder = tmp_path / "out"
+    save_weights(tmp_path / "w.safetensors", nn.ModuleDict({"depth_net": net}), json.loads(weights.with_suffix(".json").read_text()))
+    with pytest.raises(SystemExit) as stop:
+        main(["export", "--to", "onnx", "--weights", str(tmp_path / "w.safetensors"), "--out", str(folder / "depth.onnx")])
+    err = capfd.readouterr().err
+    assert stop.value.code == 2 and len(err.splitlines()) == 1
+    assert "depth.onnx: not written, since ONNX Runtime's disparities are off PyTorch's by 0.0" in err
+    assert list(folder.iterdir()) == []
+
+
+def test_a_file_that_onnx_runtime_cannot_run_is_not_left(weights, tmp_path, monkeypatch):
+    monkeypatch.setattr(export, "write_onnx", lambda net, size, path, words: path.write_bytes(b"no graph"))
+    with pytest.raises(InputError, match=r"depth\.onnx: not written, since ONNX Runtime cannot run it"):
+        export_onnx(weights, tmp_path / "depth.onnx")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--to", "coreml"], "invalid choice: 'coreml'"),
+        (["--to", "onnx", "--weights", "none.safetensors"], "none.json: "),
+        (["--to", "onnx", "--out", "model.safetensors"], "model.safetensors: "),
+        (["--to", "onnx", "--out", "file/depth.onnx"], "file: "),
+        (["--to", "onnx", "--frames", "none.png"], "none.png"),
+    ],
+    ids=str,
+)
+def test_mistakes_end_in_one_line(weights, tmp_path, monkeypatch, capfd, arguments, said):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").touch()
+    given = dict(zip(arguments[::2], arguments[1::2]))
+    words = {"--weights": str(weights), "--out": "depth.onnx"} | given
+    with pytest.raises(SystemExit) as stop:
+        main(["export", *(word for pair in words.items() for word in pair)])
+    err = capfd.readouterr().err
+    assert stop.value.code == 2 and len(err.splitlines()) == 1 and err.startswith("error: ") and said in err
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_damaged_weights_and_a_card_of_another_size_are_refused(weights, tmp_path):
+    card = json.loads(weights.with_suffix(".json").read_text())
+    for data, hr_size in ((weights.read_bytes()[:-100], SIZE), (weights.read_bytes(), (33, 33))):
+        (tmp_path / "w.safetensors").write_bytes(data)
+        (tmp_path / "w.json").write_text(json.dumps(card | {"hr_size": hr_size}))
+        with pytest.raises(InputError, match=r"w\.safetensors: "):
+            export_onnx(tmp_path / "w.safetensors", tmp_path / "depth.onnx")
+        assert not (tmp_path / "depth.onnx").exists()
+
+
+@pytest.mark.parametrize("missing", ["onnx", "onnxscript"])
+def test_without_the_packages_it_says_how_to_get_them(weights, tmp_path, monkeypatch, missing):
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == missing else find(name))
+    groups = tomllib.loads((project_root() / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    install = " ".join(line.partition(">=")[0] for line in groups["export"])
+    with pytest.raises(InputError, match=f"package {missing} is not installed; `pip install {install}`"):
+        export_onnx(weights, tmp_path / "depth.onnx")
+
+
+@pytest.mark.usefixtures("written_already")
+def test_without_onnx_runtime_it_is_written_and_said_not_to_be_compared(weights, tmp_path, monkeypatch, capsys):
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "onnxruntime" else find(name))
+    assert main(["export", "--to", "onnx", "--weights", str(weights), "--out", str(tmp_path / "depth.onnx")]) == 0
+    assert "not compared with PyTorch: onnxruntime is not installed" in capsys.readouterr().out
+    assert (tmp_path / "depth.onnx").is_file()

@@ -1,0 +1,37 @@
+"""A network of a few weights, its equality, and a pickle that must not be opened: for whatever reads and writes weights."""
+
+import torch
+from torch import nn
+
+
+class Net(nn.Module):
+    """Has a depth network and a pose network by name."""
+
+    def __init__(self, width=3):
+        super().__init__()
+        self.depth_net = nn.Sequential(nn.Conv2d(1, width, 3), nn.BatchNorm2d(width))
+        self.pose_net = nn.Linear(2, 2)
+
+
+class Trap:
+    """A pickle that leaves a mark when its code is run."""
+
+    def __init__(self, mark):
+        self.mark = str(mark)
+
+    def __reduce__(self):
+        return open, (self.mark, "w")
+
+
+def trained_net():
+    """A network after one step, and its optimiser."""
+    net = Net()
+    optimizer = torch.optim.Adam(net.parameters())
+    net.depth_net(torch.rand(2, 1, 5, 5)).sum().backward()
+    optimizer.step()
+    return net, optimizer
+
+
+def equal(a, b):
+    """Whether two sets of tensors have the same names and bits, and some."""
+    return len(a) > 0 and a.keys() == b.keys() and all(torch.equal(v, b[k]) for k, v in a.items())

@@ -1,0 +1,162 @@
+"""Windows that show what they should, laser depth between its points, and figures that can be drawn and saved."""
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+
+from dualdepth import plots
+from dualdepth.evaluation.objects import POLE
+from dualdepth.tables.figures import around, boundary_window, close_ups, depth_rows, far_errors, far_window, interpolated, pole_window
+
+
+def holds(window, row, column):
+    return window.top <= row < window.top + window.height and window.left <= column < window.left + window.width
+
+
+@pytest.mark.parametrize("shape", [(375, 1242), (200, 640), (60, 70), (9, 12), (100, 20)])
+@pytest.mark.parametrize("share", [0.3, 0.5, 1.0])
+def test_a_window_stays_inside_the_image_whatever_its_centre(shape, share):
+    image = np.zeros((*shape, 3))
+    for row in (-50, 0, 0.4, shape[0] / 2, shape[0] - 1, shape[0] + 50):
+        for column in (-50, 0, 0.4, shape[1] / 2, shape[1] - 1, shape[1] + 50):
+            window = around(row, column, shape, share)
+            assert window.top >= 0 and window.left >= 0
+            assert window.of(image).shape == (window.height, window.width, 3)
+            inside = np.clip(row, 0, shape[0] - 1), np.clip(column, 0, shape[1] - 1)
+            assert holds(window, *inside)
+
+
+def test_a_window_is_centred_where_there_is_room_and_twice_as_wide_as_high():
+    assert around(100, 300, (200, 640), 0.3) == (70, 240, 60, 120)
+    assert around(0, 639, (200, 640), 0.3) == (0, 520, 60, 120)
+    image = np.arange(200)[:, None] * 1000 + np.arange(640)
+    np.testing.assert_array_equal(around(100, 300, image.shape, 0.5).of(image), image[50:150, 200:400])
+
+
+@pytest.mark.parametrize(("top", "left"), [(0, 0), (20, 100), (120, 200), (70, 500), (175, 610)])
+def test_the_boundary_window_shows_a_near_object(top, left):
+    depth = np.full((200, 640), 30.0)
+    depth[top : top + 25, left : left + 25] = 5
+    window = boundary_window(depth)
+    for row in (top, top + 24):
+        for column in (left, left + 24):
+            assert holds(window, row, column)
+
+
+def test_the_boundary_window_takes_ratios_not_metres_and_prefers_many_edges_to_a_huge_one():
+    depth = np.full((200, 640), 40.0)
+    depth[20:50, 20:25] = 79.5  # a step of 39.5 m, not twice as far
+    depth[120:150, 500:505] = 1  # a step of 39 m, forty times as near
+    assert holds(boundary_window(depth), 135, 502)
+    depth[20:50, 20:36:4] = 20
+    assert holds(boundary_window(depth), 35, 30)
+
+
+def test_the_border_to_unknown_depth_is_no_boundary():
+    depth = np.full((200, 640), 30.0)
+    depth[:60, ::2] = 0
+    depth[150:170, 300:310] = 15
+    window = boundary_window(depth)
+    assert holds(window, 160, 305) and abs(window.left + window.width / 2 - 305) <= 1
+
+
+def test_the_far_window_is_where_the_far_points_are():
+    truth = np.zeros((200, 640))
+    truth[::3, ::3] = 12
+    truth[80:90, 400:420] = 35
+    truth[150, 10] = 20  # not beyond 20 m
+    assert holds(far_window(truth), 85, 410)
+    assert far_window(truth) == around(84.5, 409.5, truth.shape)
+    assert far_window(np.full((200, 640), 20.0)) is None
+
+
+def test_the_pole_window_is_around_the_largest_pole():
+    labels = np.zeros((200, 640), np.uint8)
+    labels[60:140, 300:304] = POLE
+    labels[20:60, 30:34] = POLE
+    labels[:, 500:600] = 8  # something larger that is no pole
+    window = pole_window(labels)
+    assert window == around(99.5, 301.5, labels.shape, 0.5)
+    assert holds(window, 60, 300) and holds(window, 139, 303)
+
+
+@pytest.mark.parametrize(("height", "shown"), [(0, False), (4, False), (5, True)])
+def test_a_pole_of_less_than_20_pixels_is_not_shown(height, shown):
+    labels = np.zeros((200, 640), np.uint8)
+    labels[100 : 100 + height, 300:304] = POLE
+    assert (pole_window(labels) is not None) == shown
+
+
+def test_interpolated_depth_is_the_lasers_at_its_points():
+    rng = np.random.default_rng(0)
+    sparse = np.zeros((40, 60))
+    places = rng.permutation(40 * 60)[:150]
+    sparse.ravel()[places] = rng.uniform(3, 70, 150)
+    depth = interpolated(sparse)
+    assert depth.shape == sparse.shape
+    np.testing.assert_allclose(depth[sparse > 0], sparse[sparse > 0], rtol=1e-6)
+    assert depth[depth > 0].min() > 2.99 and depth.max() < 70.1
+
+
+def test_between_the_points_inverse_depth_is_linear():
+    rows, columns = np.mgrid[:41, :61]
+    inverse = 0.02 + 0.003 * rows + 0.001 * columns
+    sparse = np.zeros((41, 61))
+    sparse[::10, ::10] = 1 / inverse[::10, ::10]
+    np.testing.assert_allclose(interpolated(sparse), 1 / inverse, rtol=1e-6)
+
+
+def test_above_the_highest_point_nothing_is_made_up():
+    sparse = np.zeros((40, 60))
+    sparse[15::8, ::59] = 10.0
+    depth = interpolated(sparse)
+    assert (depth[:15] == 0).all()
+    np.testing.assert_allclose(depth[16:39, 1:-1], 10)
+
+
+@pytest.mark.parametrize("places", [([3, 10], [4, 20]), (5, slice(None, None, 3))], ids=["too few", "on one line"])
+def test_points_that_span_no_triangle_stay_as_they_are(places):
+    sparse = np.zeros((20, 30))
+    sparse[places] = 12
+    np.testing.assert_array_equal(interpolated(sparse), sparse)
+
+
+RNG = np.random.default_rng(0)
+IMAGES = [RNG.integers(0, 255, (48, 96, 3), dtype=np.uint8) for _ in range(2)]
+DEPTHS = [RNG.uniform(2, 90, (48, 96)) * (RNG.random((48, 96)) < 0.8) for _ in range(2)]
+SPARSE = [depth * (RNG.random((48, 96)) < 0.1) for depth in DEPTHS]
+ERRORS = [np.where(sparse > 0, 0.2, np.nan) for sparse in SPARSE]
+WINDOWS = [around(10, 10, (48, 96)), around(40, 80, (48, 96))]
+TITLES = ["one", "two"]
+SCORES = pd.DataFrame({"abs_rel": [0.1, 0.2, 0.15], "scale_ratio": [20.0, 21.0, 25.0]})
+LOG = pd.DataFrame({"step": range(40), "photometric": 0.2, "translation": 1.0, "disparity_spread": np.linspace(0, 1, 40)})
+COSTS = pd.DataFrame({"gmacs": [5.0, 9.0], "latency_ms": [20.0, 30.0], "latency_ms_bf16": [11.0, 12.0], "device": "cpu"}, index=["a", "b"])
+DRAWN = {
+    "depth_rows": lambda: depth_rows(IMAGES, {"lr": DEPTHS, "dual": DEPTHS, "laser": SPARSE}, TITLES),
+    "close_ups": lambda: close_ups(IMAGES, {"lr": DEPTHS, "dual": DEPTHS}, WINDOWS, TITLES),
+    "far_errors": lambda: far_errors(IMAGES, {"lr": ERRORS, "dual": ERRORS}, WINDOWS, TITLES),
+    "depth_comparison": lambda: plots.depth_comparison(IMAGES, SPARSE, DEPTHS, TITLES),
+    "image_grid": lambda: plots.image_grid(IMAGES * 2, TITLES * 2),
+    "depth_pair": lambda: plots.depth_pair(IMAGES[0], DEPTHS[0], *TITLES),
+    "truth_overlay": lambda: plots.truth_overlay(IMAGES, SPARSE, TITLES),
+    "image_spread": lambda: plots.image_spread({"lr": SCORES, "dual": SCORES * 2}),
+    "training_panel": lambda: plots.training_panel(*RNG.random((2, 3, 48, 96)), *RNG.random((2, 48, 96))),
+    "learning_curve": lambda: plots.learning_curve({"lr": LOG, "dual": LOG}),
+    "cost_bars": lambda: plots.cost_bars(COSTS),
+}
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_every_figure_is_drawn_and_saved(name, tmp_path):
+    image = cv2.imread(str(plots.save(DRAWN[name](), tmp_path / "figure.png", dpi=50)))
+    assert image.std() > 5  # something is drawn
+
+
+@pytest.mark.parametrize(("draw", "maps", "unknown"), [(close_ups, DEPTHS, 0), (far_errors, ERRORS, np.nan)])
+def test_close_ups_show_the_windows_of_the_image_and_of_its_map(draw, maps, unknown):
+    figure = draw(IMAGES, {"lr": maps}, WINDOWS, TITLES)
+    shown = [axes.images[0].get_array() for axes in figure.axes if axes.get_label() != "<colorbar>"]
+    for number, window in enumerate(WINDOWS):
+        np.testing.assert_array_equal(shown[2 * number], window.of(IMAGES[number]))
+        np.testing.assert_array_equal(np.ma.filled(shown[2 * number + 1], unknown), window.of(maps[number]))

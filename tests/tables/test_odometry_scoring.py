@@ -1,0 +1,227 @@
+"""From PoseNet's motions to trajectories and their scores, on sequences that are made here."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+from small_kitti import write_calibration, write_sequence
+
+from dualdepth.data.frames import resample
+from dualdepth.data.kitti import read_image
+from dualdepth.data.odometry import read_trajectory, write_trajectory
+from dualdepth.errors import InputError
+from dualdepth.evaluation.odometry import relative, snippet_errors, snippets
+from dualdepth.geometry import pose_matrix
+from dualdepth.inference.predict import PoseModel, predict_poses
+from dualdepth.networks.architecture import Architecture
+from dualdepth.networks.pose_net import PoseNet
+from dualdepth.run import Run, Sources
+from dualdepth.tables import odometry as table_module
+from dualdepth.tables import odometry_scoring
+from dualdepth.tables.odometry import odometry_claims, odometry_table, trajectory_table
+from dualdepth.tables.odometry_scoring import (
+    chain,
+    control_poses,
+    predicted_motions,
+    score_control,
+    score_sequence,
+    triplet_snippets,
+    true_trajectory,
+)
+from dualdepth.training.weights import save_weights
+
+SIZE = (192, 192)
+
+
+def winding(count, seed=0):
+    """Poses (N, 4, 4), camera to world, that turn and climb."""
+    rng = np.random.default_rng(seed)
+    poses = [np.eye(4)]
+    for _ in range(count - 1):
+        step = np.eye(4)
+        step[:3, :3] = Rotation.from_rotvec(rng.normal(0, 0.1, 3)).as_matrix()
+        step[:3, 3] = rng.normal([0, 0, 1], 0.1)
+        poses.append(poses[-1] @ step)
+    return np.stack(poses)
+
+
+def motions_of(poses):
+    """What a perfect PoseNet says: target → previous and target → next."""
+    inverse = np.linalg.inv(poses)
+    return np.stack([np.stack([inverse[k - 1] @ poses[k], inverse[k + 1] @ poses[k]]) for k in range(1, len(poses) - 1)])
+
+
+def test_perfect_motions_give_the_true_trajectory_and_snippets_and_inverted_ones_do_not():
+    poses = winding(12)
+    motions = motions_of(poses)
+    np.testing.assert_allclose(chain(motions), poses, atol=1e-12)
+    errors = snippet_errors(snippets(poses, 3), triplet_snippets(motions))
+    assert len(errors) == 10 and errors.to_numpy().max() < 1e-12
+    assert np.abs(chain(np.linalg.inv(motions)) - poses).max() > 0.5
+
+
+@pytest.fixture(scope="module")
+def model():
+    torch.manual_seed(0)
+    net = PoseNet()
+    with torch.no_grad():
+        net.layers[-1].bias.normal_(0, 3.0)  # motions that can be told from none
+    return PoseModel(net.eval(), SIZE)
+
+
+@pytest.mark.parametrize("batch_size", [1, 3, 16])
+def test_each_triplet_is_seen_once_target_first(model, tmp_path, batch_size):
+    write_sequence(tmp_path, "09", range(7))
+    files = sorted((tmp_path / "sequences/09/image_2").iterdir())
+    motions = predict_poses(model, files, batch_size=batch_size)
+    assert motions.shape == (5, 2, 4, 4) and motions.dtype == np.float64
+    images = [torch.from_numpy(resample(read_image(f), SIZE)).permute(2, 0, 1).float() / 255 for f in files]
+    small = [torch.nn.functional.avg_pool2d(i[None], 3)[0] for i in images]
+    for k in range(1, 6):
+        with torch.inference_mode():
+            expected = pose_matrix(model.net(torch.stack([small[k], small[k - 1], small[k + 1]])[None]).double())[0]
+        np.testing.assert_allclose(motions[k - 1], expected, atol=1e-6)
+
+
+def test_two_frames_are_too_few(model):
+    with pytest.raises(InputError, match="2 frames"):
+        predict_poses(model, ["0.png", "1.png"])
+
+
+@pytest.fixture
+def run(tmp_path, model):
+    """A run with weights of an odometry training, and sequences 00 and 09."""
+    root = tmp_path / "data"
+    write_sequence(root, "00", range(4))
+    write_sequence(root, "09", range(8))
+    write_calibration(tmp_path / "raw")
+    profile = tmp_path / "own.yaml"
+    profile.write_text(
+        json.dumps(
+            {
+                "about": "a test",
+                "data": {"source": "kitti", "train_drives": ["d"], "odometry_train": ["00"], "odometry_test": ["09"], "hr_size": SIZE},
+                "training": {"precision": "float32"},
+                "train": {"lr": None, "odometry_lr": None},
+            }
+        )
+    )
+    run = Run(str(profile), tmp_path)
+    Sources(tmp_path / "raw", tmp_path / "list.txt", odometry_root=root).save(run)
+    save(run, model, ["2011_10_03/2011_10_03_drive_0027_sync"])
+    return run
+
+
+def save(run, model, drives):
+    card = {"hr_size": list(SIZE), "drives": drives, "pretrained": False, "steps": 2, "starts_from": None}
+    words = Architecture(network="lr", encoder="resnet18").model_dump()
+    path = run.weights("odometry_lr", 0)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    save_weights(path, torch.nn.ModuleDict({"pose_net": model.net}), card | words | {"seed": 0})
+
+
+def test_a_sequence_is_scored_and_its_trajectory_written(run):
+    scores = score_sequence(run, "odometry_lr", 0, "09")
+    assert {k: len(v) for k, v in scores.snippets.items()} == {3: 6, 5: 4}
+    assert set(scores.trajectory) == {"7dof", "none", "scale", "6dof", "scale_7dof"}
+    written = read_trajectory(run.results / "trajectories" / "odometry_lr_seed0_09.txt")
+    np.testing.assert_allclose(written.poses, chain(predicted_motions(run, "odometry_lr", 0, "09")), atol=1e-5)
+
+
+def test_motions_are_kept_and_made_anew_for_other_weights(run, model, monkeypatch):
+    first = predicted_motions(run, "odometry_lr", 0, "09")
+    counted = []
+    original = odometry_scoring.predict_poses
+    monkeypatch.setattr(odometry_scoring, "predict_poses", lambda *a, **k: counted.append(1) or original(*a, **k))
+    np.testing.assert_array_equal(predicted_motions(run, "odometry_lr", 0, "09"), first)
+    assert not counted
+    with torch.no_grad():
+        changed = PoseModel(PoseNet().eval(), SIZE)
+    save(run, changed, ["2011_10_03/2011_10_03_drive_0027_sync"])
+    assert np.abs(predicted_motions(run, "odometry_lr", 0, "09") - first).max() > 0 and counted
+
+
+def test_weights_that_saw_the_sequences_raw_drive_are_refused_or_named_in_the_table(run, model):
+    drive = "2011_09_30/2011_09_30_drive_0033_sync"
+    save(run, model, [drive])
+    with pytest.raises(InputError, match=rf"model\.safetensors: was trained on {drive}"):
+        score_sequence(run, "odometry_lr", 0, "09")
+    Sources.load(run)._replace(allow_leak=True).save(run)
+    note = odometry_table(run, [0]).query("variant == 'odometry_lr'")["note"].iloc[0]
+    assert f"LEAK: trained on {drive}" in note
+
+
+def test_controls_know_nothing_of_the_images(run):
+    truth = true_trajectory(run, "09")
+    assert control_poses(run, "straight", truth)[3, :3, 3].tolist() == [0, 0, 3]
+    # the training sequence goes a metre a frame sideways, as the test sequence does
+    np.testing.assert_allclose(control_poses(run, "constant", truth), relative(truth.poses), atol=1e-12)
+    assert score_control(run, "constant", "09").snippets[3]["ate"].max() < 1e-12
+    np.testing.assert_allclose(control_poses(run, "inverted", truth) @ truth.poses, np.broadcast_to(np.eye(4), (8, 4, 4)), atol=1e-12)
+
+
+def test_inverting_a_snippets_poses_hardly_shows_in_its_score(run):
+    path = Sources.load(run).odometry_root / "poses/09.txt"
+    poses = winding(8)
+    write_trajectory(path, poses)
+    scores = score_control(run, "inverted", "09")
+    cut = snippets(poses, 3)
+    expected = snippet_errors(cut, np.linalg.inv(relative(cut)))["ate"]
+    np.testing.assert_allclose(scores.snippets[3]["ate"], expected, atol=1e-9)
+    assert expected.mean() < 0.2 < scores.trajectory["7dof"]["rpe_t"]
+
+
+def test_a_gap_between_frames_and_fewer_poses_than_frames_are_named(run):
+    root = Sources.load(run).odometry_root
+    poses = root / "poses/09.txt"
+    poses.write_text("".join(poses.read_text().splitlines(keepends=True)[:5]))
+    with pytest.raises(InputError, match=r"09\.txt: has 5 poses, but the sequence has a frame 7"):
+        score_control(run, "straight", "09")
+    (root / "sequences/09/image_2/000004.png").unlink()
+    with pytest.raises(InputError, match="image_2: frame 4 is missing"):
+        true_trajectory(run, "09")
+
+
+def test_the_table_has_the_papers_rows_ours_and_the_controls_at_both_lengths(run):
+    table = odometry_table(run, [0])
+    measured = table[table["source"] == "measured"]
+    assert len(table) - len(measured) == 8
+    assert measured["frames"].tolist() == [3] * 5 + [5] * 5
+    ours = measured[measured["variant"] == "odometry_lr"]
+    expected = score_sequence(run, "odometry_lr", 0, "09").snippets
+    assert ours["snippet_ate_mean_09"].tolist() == pytest.approx([expected[n]["ate"].mean() for n in (3, 5)])
+    assert ours["snippet_ate_std_09"].tolist() == pytest.approx([expected[n]["ate"].std(ddof=0) for n in (3, 5)])
+    assert ours["n"].tolist() == [6, 4]
+    untrained = measured[measured["method"] == "Ours (LR-Net+HR-Net)"]
+    assert untrained["note"].str.contains("not run: profile own does not train it").all() and untrained["snippet_ate_mean_09"].isna().all()
+
+
+def test_without_the_folder_every_row_says_how_to_get_it(run):
+    Sources.load(run)._replace(odometry_root=None).save(run)
+    for table in (odometry_table(run, [0]), trajectory_table(run, [0])):
+        measured = table[table["source"] == "measured"]
+        assert measured["note"].str.startswith("not run: no ODOMETRY_ROOT; get it with").all() and len(measured)
+    assert odometry_claims(run, [0]).empty
+
+
+def test_claims_say_which_control_is_beaten(run, monkeypatch):
+    def scores(t_err, ate):
+        trajectory = {"7dof": {"t_err": t_err, "segments": 5}}
+        return odometry_scoring.SequenceScores({3: pd.DataFrame({"ate": ate + np.array([0.0, 1e-3, 2e-3])})}, trajectory)
+
+    monkeypatch.setattr(table_module, "_sequence", lambda run, name, seed, entry: scores(10.0 + seed, 0.02))
+    monkeypatch.setattr(table_module, "_control", lambda run, name, entry: scores({"constant": 10.5}.get(name, 50.0), 0.01))
+    table = odometry_claims(run, [0, 1]).set_index(["b", "metric"])
+    assert table.loc[("straight", "t_err"), "in_words"] == "better by 39.5 points of t_err; better with 2 of 2 seeds"
+    assert table.loc[("constant", "t_err"), "in_words"] == "the same"
+    assert table.loc[("constant", "snippet_ate_3"), "in_words"].startswith("worse by 0.01")
+
+
+def test_a_path_too_short_for_a_segment_says_so(run):
+    table = trajectory_table(run, [0])
+    assert table["note"].eq("no segment of 100 m: the path is too short")[table["segments"].eq(0)].all()
+    words = odometry_claims(run, [0]).query("metric == 't_err'")["in_words"]
+    assert words.eq("not compared: the path is too short for a segment").all()

@@ -1,0 +1,56 @@
+"""Which machine this is: bf16 where the device has it, unless the profile says otherwise; memory is kept where glibc can."""
+
+import ctypes
+from pathlib import Path
+
+import pytest
+import torch
+
+from dualdepth.device import choose_precision, has_bf16, keep_freed_memory
+
+CPU, GPU = torch.device("cpu"), torch.device("cuda")
+
+
+@pytest.mark.parametrize(
+    ("instructions", "expected"),
+    [
+        ({"avx2": True}, "float32"),
+        ({"avx512_f": True, "avx512_bf16": False}, "float32"),
+        ({"avx512_bf16": True}, "bf16"),
+        ({"amx_bf16": True}, "bf16"),
+    ],
+)
+def test_a_cpu_computes_in_bf16_if_it_has_instructions_for_it(monkeypatch, instructions, expected):
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: instructions)
+    assert choose_precision("auto", CPU, (128, 416)) == expected
+    assert choose_precision("auto", CPU, (64, 64)) == "float32"
+
+
+def test_a_gpu_that_only_imitates_bf16_computes_in_float32(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_bf16_supported", lambda including_emulation=True: including_emulation)
+    assert choose_precision("auto", GPU, (128, 416)) == "float32"
+    monkeypatch.setattr(torch.cuda, "is_bf16_supported", lambda including_emulation=True: True)
+    assert choose_precision("auto", GPU, (128, 416)) == "bf16"
+
+
+@pytest.mark.parametrize("setting", ["float32", "bf16"])
+def test_what_the_profile_says_holds_on_every_device(setting):
+    assert choose_precision(setting, CPU, (128, 416)) == setting
+
+
+def test_this_cpu_says_the_same_as_its_operating_system():
+    file = Path("/proc/cpuinfo")
+    if not file.exists():
+        pytest.skip("no /proc/cpuinfo here")
+    assert has_bf16(CPU) == bool({"avx512_bf16", "amx_bf16"} & set(file.read_text(encoding="utf-8").split()))
+
+
+@pytest.mark.parametrize("library", [OSError("no libc.so.6"), object()])
+def test_an_allocator_that_is_not_glibcs_is_left_alone(monkeypatch, library):
+    def load(name):
+        if isinstance(library, Exception):
+            raise library
+        return library
+
+    monkeypatch.setattr(ctypes, "CDLL", load)
+    assert keep_freed_memory() is False

@@ -1,0 +1,164 @@
+"""Files are whole or absent; one run holds a lock at a time, and a dead one holds nothing."""
+
+import hashlib
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from dualdepth.errors import InputError
+from dualdepth.files import atomic_path, file_digest, folder_digest, locked, remove_leftovers, write_json, write_text
+
+HOLDER = """
+import os, sys, time
+from dualdepth.files import locked
+with locked(sys.argv[1], inherited="heir" in sys.argv):
+    print("held", flush=True)
+    if "exec" in sys.argv:
+        os.execv("/bin/sleep", ["sleep", "60"])
+    time.sleep(60)
+"""
+
+
+@pytest.fixture
+def held(tmp_path):
+    """Starts another process that holds the lock; with `exec` it becomes another program, with `heir` one that holds it on."""
+    started = []
+
+    def start(*words):
+        command = [sys.executable, "-c", HOLDER, str(tmp_path / "lock"), *words]
+        started.append(subprocess.Popen(command, stdout=subprocess.PIPE, text=True))
+        assert started[-1].stdout.readline() == "held\n"
+        return started[-1]
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def test_a_file_appears_under_its_name_only_when_it_is_whole(tmp_path):
+    with atomic_path(tmp_path / "deep" / "seed0.txt") as partial:
+        partial.write_text("half")
+        assert not list((tmp_path / "deep").glob("seed*"))
+        assert partial.name.startswith(".")
+    assert [p.name for p in (tmp_path / "deep").iterdir()] == ["seed0.txt"]
+
+
+def test_a_failure_leaves_the_file_before_it_and_nothing_else(tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+    with pytest.raises(KeyboardInterrupt), atomic_path(path) as partial:
+        partial.write_text("new, ha")
+        raise KeyboardInterrupt
+    assert path.read_text() == "old"
+    assert [p.name for p in tmp_path.iterdir()] == ["a.txt"]
+
+
+def test_the_suffix_is_kept_for_writers_that_choose_by_it(tmp_path):
+    with atomic_path(tmp_path / "a.npy") as partial:
+        np.save(partial, np.arange(3))
+    assert np.load(tmp_path / "a.npy").tolist() == [0, 1, 2]
+
+
+def test_two_writers_do_not_share_an_unfinished_file(tmp_path):
+    with atomic_path(tmp_path / "a.txt") as first, atomic_path(tmp_path / "a.txt") as second:
+        first.write_text("first")
+        second.write_text("second")
+    assert (tmp_path / "a.txt").read_text() == "first"  # the last one to end
+
+
+def test_what_killed_writers_left_is_removed_and_nothing_else(tmp_path):
+    left = [tmp_path / ".a.0123abcd.part.txt", tmp_path / "deep" / ".checkpoint_00000004.89abcdef.part.pt"]
+    kept = [tmp_path / "a.txt", tmp_path / ".hidden.part.txt"]
+    (tmp_path / "deep").mkdir()
+    for path in left + kept:
+        path.touch()
+    assert remove_leftovers(tmp_path, below=False) == 1
+    assert remove_leftovers(tmp_path) == 1
+    assert not any(path.exists() for path in left) and all(path.exists() for path in kept)
+
+
+def test_text_and_json_are_utf_8(tmp_path):
+    write_text(tmp_path / "a.txt", "δ < 1.25²")
+    write_json(tmp_path / "a.json", {"about": "λ", "n": 3})
+    assert (tmp_path / "a.txt").read_bytes().decode("utf-8") == "δ < 1.25²"
+    assert json.loads((tmp_path / "a.json").read_text(encoding="utf-8")) == {"about": "λ", "n": 3}
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_json_that_no_other_program_could_read_is_refused(tmp_path, value):
+    with pytest.raises(ValueError, match="JSON"):
+        write_json(tmp_path / "a.json", {"x": value})
+    assert not list(tmp_path.iterdir())
+
+
+def test_digests_are_of_content_and_of_what_a_folder_holds(tmp_path):
+    (tmp_path / "a.txt").write_bytes(b"abc")
+    assert file_digest(tmp_path / "a.txt") == hashlib.sha256(b"abc").hexdigest()
+    assert file_digest(tmp_path / "gone") is None
+    before = folder_digest(tmp_path, "*.txt")
+    (tmp_path / "b.png").touch()
+    assert folder_digest(tmp_path, "*.txt") == before
+    (tmp_path / "b.txt").touch()
+    assert folder_digest(tmp_path, "*.txt") != before
+    assert folder_digest("", "*.txt") == folder_digest("", "*.png") != before
+
+
+def test_a_second_run_is_refused_in_one_line_that_names_the_holder_as_often_as_it_tries(tmp_path, held):
+    holder = held()
+    for _ in range(2):
+        said = rf"lock: held by process {holder.pid} on {os.uname().nodename}; "
+        with pytest.raises(InputError, match=said) as error, locked(tmp_path / "lock"):
+            pass
+        assert "\n" not in str(error.value)
+    with locked(tmp_path / "other" / "lock"):  # other profiles run side by side
+        pass
+
+
+def test_the_lock_is_free_again_when_its_holder_was_killed(tmp_path, held):
+    holder = held()
+    os.kill(holder.pid, signal.SIGKILL)
+    holder.wait()
+    assert str(holder.pid) in (tmp_path / "lock").read_text()
+    with locked(tmp_path / "lock"):
+        assert f"process {os.getpid()} on " in (tmp_path / "lock").read_text()
+
+
+def test_the_lock_is_free_again_after_a_run_and_after_a_failed_one(tmp_path):
+    path = tmp_path / "work" / "lock"
+    with locked(path), pytest.raises(InputError, match=f"process {os.getpid()} on "), locked(path):
+        pass
+    with pytest.raises(ZeroDivisionError), locked(path):
+        _ = 1 / 0
+    with locked(path):
+        pass
+
+
+def test_who_is_ending_is_waited_for(tmp_path, held):
+    threading.Timer(0.3, held().kill).start()
+    with locked(tmp_path / "lock", patience=20):
+        assert str(os.getpid()) in (tmp_path / "lock").read_text()
+
+
+@pytest.mark.parametrize("heir", [True, False])
+def test_the_program_that_a_process_becomes_holds_its_lock_if_it_is_to(tmp_path, held, heir):
+    holder = held("exec", *["heir"] * heir)
+    until = time.monotonic() + 20
+    while os.readlink(f"/proc/{holder.pid}/exe").endswith(os.path.basename(os.path.realpath(sys.executable))):
+        assert time.monotonic() < until
+        time.sleep(0.01)
+    if heir:
+        with pytest.raises(InputError, match=f"held by process {holder.pid} on "), locked(tmp_path / "lock"):
+            pass
+        holder.kill()
+        holder.wait()
+    with locked(tmp_path / "lock"):
+        pass

@@ -1,0 +1,223 @@
+"""Profiles: what they say of the paper, and what is said of a bad one."""
+
+import pytest
+
+from dualdepth.errors import InputError
+from dualdepth.paper import RECIPE
+from dualdepth.profile import PROFILES, load_profile, standard_variants
+
+SHIPPED = sorted(path.stem for path in PROFILES.glob("*.yaml"))
+
+GOOD = """
+about: a test
+data:
+  source: kitti
+  train_drives: [2011_09_26/2011_09_26_drive_0001_sync]
+"""
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(text, name="own"):
+        path = tmp_path / f"{name}.yaml"
+        path.write_text(text)
+        return str(path)
+
+    return write
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_every_shipped_profile_is_valid_and_says_what_it_is(name):
+    profile = load_profile(name)
+    assert profile.name == name
+    assert profile.about
+
+
+def test_the_five_profiles_are_shipped():
+    assert {"tiny", "miniature", "sample", "paper", "own"} <= set(SHIPPED)
+
+
+def test_the_paper_profile_is_the_papers_recipe():
+    profile = load_profile("paper")
+    training = profile.training
+    for stage, epochs in zip((training.lr, training.hr), RECIPE["epochs"]):
+        assert stage.epochs == epochs == 40
+        assert stage.batch_size == RECIPE["batch_size"] == 4
+        assert (stage.beta1, stage.beta2) == (RECIPE["beta1"], RECIPE["beta2"]) == (0.9, 0.999)
+        assert tuple(stage.learning_rates) == RECIPE["learning_rates"] == ((10, 2e-4), (20, 1e-4), (40, 5e-5))
+        assert stage.max_steps is None
+    assert profile.data.hr_size == RECIPE["hr_size"] == (384, 1248)
+    assert profile.data.lr_size == RECIPE["lr_size"] == (128, 416)
+    assert training.loss.alpha == RECIPE["alpha"] == 0.85
+    assert training.loss.scales == len(RECIPE["scales"]) == 4
+    assert training.encoder == "resnet50"
+    assert training.pretrained is True
+    assert training.augmentation.augment_first
+    assert training.loss.feature > 0
+    assert (profile.data.train_list, profile.data.test_list) == ("eigen_zhou", "eigen_test")
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_nothing_beyond_the_paper_is_on(name):
+    training = load_profile(name).training
+    assert not training.loss.beyond_paper_automask
+    assert not training.augmentation.beyond_paper_flip
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_every_profile_trains_maps_that_can_be_mirrored(name):
+    assert min(load_profile(name).data.lr_size) // 32 >= 2
+
+
+def test_an_own_profile_is_named_by_its_file(written):
+    assert load_profile(written(GOOD, "mine")).name == "mine"
+
+
+@pytest.mark.parametrize(
+    ("text", "unknown", "nearest"),
+    [
+        (GOOD + "sedes: [1]\n", "sedes", "seeds"),
+        (GOOD + "training:\n  lr:\n    epoch: 3\n", "training.lr.epoch", "epochs"),
+        (GOOD + "training:\n  loss:\n    smothness: 3\n", "training.loss.smothness", "smoothness"),
+        (GOOD.replace("  source: kitti", "  source: kitti\n  train_drive: x"), "data.train_drive", "train_drives"),
+        (GOOD + "world:\n  sise: [1, 2]\n", "world.sise", "size"),
+    ],
+)
+def test_an_unknown_setting_names_the_nearest_one(written, text, unknown, nearest):
+    with pytest.raises(InputError, match=rf"own\.yaml: .*unknown setting {unknown}; did you mean {nearest}\?"):
+        load_profile(written(text))
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        (GOOD + "seeds: many\n", "seeds"),
+        (GOOD + "1: 2\n", "1"),
+        (GOOD + "training:\n  precision: float16\n", "training.precision"),
+        (GOOD + "training:\n  loss:\n    scales: 5\n", "training.loss.scales"),
+        (GOOD + "training:\n  augmentation:\n    max_scale: 0.9\n", "training.augmentation.max_scale"),
+        (GOOD + "training:\n  lr:\n    batch_size: 0\n", "training.lr.batch_size"),
+        (GOOD + "training:\n  lr:\n    learning_rates: []\n", "training.lr.learning_rates"),
+        (GOOD + "training:\n  accumulate: 0\n", "training.accumulate"),
+        (GOOD + "training:\n  workers: -1\n", "training.workers"),
+        (GOOD + "  hr_size: [380, 1248]\n", "hr_size"),
+        (GOOD + "  hr_size: [96, 288]\n", "hr_size"),
+        (GOOD + "  hr_size: [0, 0]\n", "hr_size"),
+        (GOOD + "  train_list: eigen_zhou\n", "train_list or train_drives"),
+        (GOOD.replace("  train_drives: [2011_09_26/2011_09_26_drive_0001_sync]\n", ""), "train_list or train_drives"),
+        (GOOD.replace("kitti", "cityscapes"), "data.source"),
+        (GOOD.replace("kitti", "miniature"), "world"),
+        (GOOD.replace("about: a test\n", ""), "about"),
+        ("- a\n- b\n", "expected a mapping of settings, found list"),
+        ("", "expected a mapping of settings, found NoneType"),
+        ("a: [1,\n", "not a YAML file"),
+    ],
+)
+def test_a_bad_profile_is_one_error_that_names_file_and_setting(written, text, named):
+    with pytest.raises(InputError) as error:
+        load_profile(written(text))
+    message = str(error.value)
+    assert "own.yaml: " in message
+    assert named in message
+
+
+def test_an_unknown_profile_names_those_there_are():
+    with pytest.raises(InputError, match=r"profile 'papper' not found: choose one of miniature, own, paper, sample, .*tiny"):
+        load_profile("papper")
+
+
+def test_values_are_fixed_once_read():
+    from pydantic import ValidationError
+
+    with pytest.raises(ValidationError):
+        load_profile("tiny").training.lr.epochs = 3
+
+
+def test_the_digest_changes_with_its_own_sections_only(written):
+    plain, other = load_profile(written(GOOD)), load_profile(written(GOOD + "training:\n  lr:\n    epochs: 3\n", "other"))
+    assert plain.digest("training.loss", "data.hr_size") == other.digest("training.loss", "data.hr_size")
+    assert plain.digest("training.lr") != other.digest("training.lr")
+
+
+def test_the_papers_networks_are_those_of_the_standard_variants():
+    profile = load_profile("paper")
+    dual = profile.variant("dual")
+    assert (dual.network, dual.link, dual.similarity, dual.normalise, dual.starts_from) == ("dual", "attention", "dot", "none", "lr")
+    assert profile.variant("dual_no_sa").link == "direct"
+    assert {"lr", "dual", "dual_no_sa"} <= set(profile.train)
+
+
+def test_tiny_trains_every_standard_variant():
+    assert set(load_profile("tiny").train) == set(standard_variants())
+
+
+@pytest.mark.parametrize("name", standard_variants())
+def test_every_standard_variant_fits_into_the_papers_profile(name):
+    profile = load_profile("paper")
+    assert profile.of_variant(name).training
+    start = profile.variant(name).starts_from
+    assert start is None or profile.variant(start).network == "lr"
+
+
+def test_a_variant_changes_its_own_settings_only():
+    profile = load_profile("paper")
+    assert profile.of_variant("lr").training == profile.training
+    assert profile.of_variant("lr_no_feature_loss").training.loss.feature == 0
+    assert not profile.of_variant("lr_downsample_first").training.augmentation.augment_first
+    assert profile.of_variant("dual_scratch").training.pretrained is False
+    assert profile.of_variant("mobilenet_v2").training.encoder == "mobilenet_v2"
+    changed = profile.of_variant("resnet18").training.model_dump() | {"encoder": "resnet50"}
+    assert changed == profile.training.model_dump()
+
+
+def test_a_profile_sets_a_variants_settings_and_has_variants_of_its_own(written):
+    own = """train:
+  lr: {training.lr.max_steps: 7}
+  mine:
+variants:
+  mine: {label: Mine, about: x, network: single, set: {training.encoder: mobilenet_v2}}
+"""
+    profile = load_profile(written(GOOD + own))
+    assert profile.of_variant("lr").training.lr.max_steps == 7
+    assert profile.training.lr.max_steps is None
+    assert profile.of_variant("mine").training.encoder == "mobilenet_v2"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("train: {duall: }\n", "variant 'duall' is unknown; did you mean dual"),
+        ("train: {dual: }\n", "dual starts from lr, which is not trained; name it too"),
+        ("train: {lr: {training.lr.epoch: 3}}\n", r"variant lr: unknown setting training.lr.epoch; did you mean epochs\?"),
+        ("train: {lr: {training.lrr.epochs: 3}}\n", "variant lr: unknown setting training.lrr"),
+        ("train: {lr: {training.lr.epochs: none}}\n", "variant lr: training.lr.epochs"),
+        ("train: {}\n", "train"),
+        ("train: {resnet18: }\n", "train: does not name lr"),
+        (
+            "train: {lr: , odometry_lr: , mine: }\nvariants: {mine: {label: a, about: x, network: dual, starts_from: odometry_lr}}\n",
+            "a leak",
+        ),
+        ("variants: {mine: {label: a, about: x, network: dual}}\n", "network dual needs a variant in `starts_from`"),
+        ("variants: {mine: {label: a, about: x, network: single, starts_from: lr}}\n", "network single has no variant in `starts_from`"),
+        (
+            "variants: {mine: {label: a, about: x, network: lr, simlarity: dot}}\n",
+            "unknown setting variants.mine.simlarity; did you mean similarity",
+        ),
+        (
+            "train: {lr: , dual: , mine: }\nvariants: {mine: {label: a, about: x, network: dual, starts_from: dual}}\n",
+            "mine starts from dual, which is no variant of stage 1",
+        ),
+        (
+            "train: {mine: {training.augmentation.augment_first: false}}\nvariants: {mine: {label: a, about: x, network: single}}\n",
+            "augment_first must be true at high resolution",
+        ),
+    ],
+)
+def test_a_bad_variant_is_one_error_that_names_file_and_mend(written, text, said):
+    with pytest.raises(InputError, match=rf"own\.yaml: .*{said}"):
+        load_profile(written(GOOD + text))
+
+
+def test_a_profile_file_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(InputError, match=r"profile .*gone\.yaml: there is no such file"):
+        load_profile(str(tmp_path / "gone.yaml"))

@@ -1,0 +1,78 @@
+"""Which room may import which: read from the source, also what a function imports only when it is called."""
+
+import subprocess
+import sys
+
+import pytest
+from import_graph import ROOT, closure, imports_of, modules
+
+ORDER = [
+    *("dualdepth", "errors", "files", "device", "geometry", "paper", "plots", "staleness", "networks"),
+    *("settings", "profile", "losses", "data", "evaluation", "run", "training"),
+    *("inference", "tables", "report", "notebooks", "publish", "bench", "commands", "cli"),
+]
+"""Rooms and modules of the root from the ground up: each imports only those before it, and itself."""
+BESIDE = {"model": "inference"}
+"""In one room until prediction is one way: `inference.predict` lies under it, the rest of `inference` above."""
+NEVER = {
+    "networks": {*ORDER} - {"dualdepth", "errors", "networks"},
+    "geometry": {*ORDER} - {"geometry"},
+    "losses": {"data", "profile", "run", "training", "networks"},
+    "data": {"networks", "profile", "losses"},
+    "evaluation": {"networks", "profile", "losses", "settings"},
+}
+"""What a room must not import although it lies before it."""
+OWN_CAMERA = {"data_scripts.own_camera", "data_scripts.find_data"}
+"""The doors of the room of own cameras."""
+
+
+def room(module):
+    """Of a module of `dualdepth`."""
+    name = module.split(".")[1] if "." in module else module
+    return BESIDE.get(name, name)
+
+
+def edges():
+    """All (importer, imported)."""
+    return [(module, other) for module in modules() for other in imports_of(module)]
+
+
+def test_no_module_imports_itself_by_way_of_others():
+    assert [module for module in modules() if module in closure(imports_of(module))] == []
+
+
+def test_no_arrow_of_the_package_runs_up():
+    place = {name: number for number, name in enumerate(ORDER)}
+    ours = [(a, b) for a, b in edges() if a.startswith("dualdepth") and b.startswith("dualdepth")]
+    assert [(a, b) for a, b in ours if place[room(a)] < place[room(b)] or room(b) in NEVER.get(room(a), ())] == []
+
+
+def test_the_package_never_imports_the_scripts_and_the_cameras_room_has_two_doors():
+    assert [(a, b) for a, b in edges() if a.startswith("dualdepth") and b.startswith("data_scripts")] == []
+    inside = ("data_scripts.own.", "data_scripts.own")
+    outside = {a for a, b in edges() if b.startswith(inside[0]) or b == inside[1]} - {a for a in modules() if a.startswith(inside[0])}
+    assert outside <= OWN_CAMERA
+
+
+def test_the_corridor_is_short():
+    assert len([*(ROOT / "dualdepth").glob("*.py")]) <= 18
+
+
+def loaded_by(code):
+    """Modules that a program has loaded at its end."""
+    program = f"import sys\n{code}\nprint('\\n'.join(sys.modules))"
+    return set(subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True).stdout.split())
+
+
+def test_a_training_loads_no_scripts_tables_predictions_or_report():
+    loaded = loaded_by("import dualdepth.training.variants")
+    assert "dualdepth.training.loop" in loaded
+    assert not [
+        name for name in loaded if name.startswith(("data_scripts", *(f"dualdepth.{n}" for n in ("tables", "inference", "report"))))
+    ]
+
+
+@pytest.mark.parametrize("words", [["--help"], ["evaluate", "depth", "--help"], ["reproduce", "--help"], ["predict", "--help"]])
+def test_help_loads_no_torch(words):
+    loaded = loaded_by(f"from dualdepth.cli import main\ntry:\n    main({words})\nexcept SystemExit:\n    pass")
+    assert "argparse" in loaded and not loaded & {"torch", "transformers", "pandas", "snakemake"}

@@ -1,0 +1,121 @@
+"""Where a run's files lie, what is said of a missing one, what a training's recipe is made of, and what stands in a stamp."""
+
+import hashlib
+import json
+
+import pandas as pd
+import pytest
+
+from dualdepth.errors import InputError
+from dualdepth.run import Run, project_root
+
+
+@pytest.fixture
+def project(tmp_path, monkeypatch):
+    (tmp_path / "notebooks").mkdir()
+    (tmp_path / "Snakefile").touch()
+    (tmp_path / "environment.lock").write_text("torch==2.13.0\n")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_the_root_is_found_from_below_and_asked_for_elsewhere(project, tmp_path_factory, monkeypatch):
+    monkeypatch.chdir(project / "notebooks")
+    assert project_root() == project
+    monkeypatch.chdir(tmp_path_factory.mktemp("elsewhere"))
+    with pytest.raises(InputError, match="is not inside a dualdepth checkout"):
+        project_root()
+
+
+def test_a_missing_prerequisite_names_the_notebook_that_makes_it(project):
+    run = Run("tiny")
+    with pytest.raises(InputError, match=r"work/tiny/sources\.json is missing: run notebook 01_download_data"):
+        run.require(run.sources, "01_download_data")
+    run.sources.parent.mkdir(parents=True)
+    run.sources.touch()
+    assert run.require(run.sources, "01_download_data") == run.sources
+
+
+def test_a_table_is_written_with_a_stamp_that_says_what_made_it(project):
+    run = Run("tiny")
+    given = project / "input.csv"
+    given.write_text("a\n1\n")
+    path = run.save_table(pd.DataFrame({"abs_rel": [0.123456789]}), "main", [given], seeds=[0, 1])
+    assert path == project / "results/tiny/tables/main.csv"
+    assert path.read_text() == "abs_rel\n0.123457\n"
+    stamp = json.loads(path.with_suffix(".json").read_text())
+    assert stamp["profile"] == "tiny"
+    assert stamp["seeds"] == [0, 1]
+    assert stamp["inputs_sha256"] == {"input.csv": hashlib.sha256(b"a\n1\n").hexdigest()}
+    assert stamp["lock_sha256"] == hashlib.sha256(b"torch==2.13.0\n").hexdigest()
+
+
+def test_a_stamp_outside_of_git_says_that_the_revision_is_unknown(project):
+    assert Run("tiny").stamp([])["revision"] == "unknown"
+
+
+def own_run(project, text):
+    """Of a profile with more in it."""
+    path = project / "own.yaml"
+    path.write_text(f"about: x\ndata:\n  source: kitti\n  train_list: eigen_zhou\n{text}")
+    return Run(str(path))
+
+
+@pytest.fixture
+def recipe(project):
+    """The recipe of a training of a profile, from prepared files and stage 1's weights of given content."""
+
+    def recipe(text="", variant="lr", triplets="x", identity="{}", weights="a"):
+        run = own_run(project, text)
+        files = {run.prepared / "triplets.csv": triplets, run.prepared / "identity.json": identity, run.weights("lr", 0): weights}
+        for file, content in files.items():
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(content)
+        return run.recipe(variant, 0)
+
+    return recipe
+
+
+def test_a_recipe_changes_with_triplets_and_settings_that_shape_the_weights(recipe):
+    plain = recipe()
+    assert recipe("training: {workers: 3, log_every: 7}\n") == plain == recipe(weights="b")
+    assert recipe(triplets="y") != plain
+    assert recipe(identity='{"frames": 1}') != plain
+    for setting in ("lr: {batch_size: 2}", "precision: float32", "encoder: resnet18", "loss: {feature: 0}"):
+        assert recipe(f"training: {{{setting}}}\n") != plain
+
+
+def test_stage_2_is_stale_when_stage_1_or_its_own_settings_change(recipe):
+    plain = recipe(variant="dual")
+    assert recipe(variant="dual", weights="b") != plain
+    assert recipe(variant="dual_no_sa") != plain
+    assert recipe(variant="dual_cosine") != plain
+    assert recipe("training: {hr: {epochs: 3}}\n", "dual") != plain
+    assert recipe("training: {lr: {epochs: 3}}\n", "dual") == plain  # what it did to LR-Net stands in LR-Net's weights
+    assert recipe("train: {lr: , dual: {training.hr.max_steps: 9}}\n", "dual") != plain
+    assert recipe("train: {lr: , dual: , hr_only: }\n", "dual") == plain
+    assert recipe("training: {hr: {epochs: 3}}\n") == recipe()
+
+
+def test_a_table_is_made_from_the_weights_that_are_trained_the_scored_frames_and_their_truth(project):
+    run = own_run(project, "train: {lr: , dual: }\n")
+    assert [str(path.relative_to(run.work)) for path in run.scored_with(("lr", "dual_no_sa", "dual"), (0, 2))] == [
+        "runs/lr/seed0/model.safetensors",
+        "runs/lr/seed2/model.safetensors",
+        "runs/dual/seed0/model.safetensors",
+        "runs/dual/seed2/model.safetensors",
+        "prepared/test_frames.json",
+        "prepared/ground_truth.npz",
+    ]
+
+
+def test_tables_are_stale_when_the_variants_or_their_labels_change(project):
+    def digest(text):
+        return own_run(project, text).profile.trained_variants()
+
+    plain = digest("train: {lr: , dual: }\n")
+    assert digest("train: {lr: , dual: }\ntraining: {log_every: 7}\n") == plain
+    assert digest("train: {lr: , dual: , hr_only: }\n") != plain
+    assert digest("train: {lr: , dual: {training.hr.max_steps: 9}}\n") != plain
+    label = "variants: {{dual: {{label: {}, about: x, network: dual, starts_from: lr}}}}\ntrain: {{lr: , dual: }}\n"
+    assert digest(label.format("a")) != digest(label.format("b"))

@@ -1,0 +1,129 @@
+"""What makes a result stale: the code that it is made with, by folder; not its comments, and not other code."""
+
+import json
+import re
+
+import pytest
+from import_graph import ROOT, closure, modules, notebook_imports
+
+from dualdepth import staleness
+from dualdepth.files import file_digest, folder_digest
+from dualdepth.staleness import CODE, EXEMPT, code_digest, inputs, notebook_digest
+
+NOTEBOOKS = sorted(path.stem for path in (ROOT / "notebooks").glob("*.ipynb"))
+STEPS = dict(re.findall(r'made_from\(\s*"?([\w\[\]]+)"?,\s*"(\w+)"', (ROOT / "Snakefile").read_text(encoding="utf-8")))
+"""The step that the Snakefile names with a notebook, or with the expression that stands for several."""
+SOURCE = '''"""A module."""
+
+import math
+
+
+def area(r):
+    """Of a circle."""
+    return math.pi * r**2  # in square metres
+'''
+
+
+def part(module):
+    """The folder or module of the root that a module belongs to."""
+    package, *names = module.split(".")
+    return names[0] if names and package == "dualdepth" else package
+
+
+def unlisted(start, step, *more):
+    """Modules that `start` imports, directly or not, and that neither the step lists nor stand in EXEMPT."""
+    found = closure(start, stop=lambda module: part(module) in EXEMPT)
+    return sorted(module for module in found if part(module) not in (*CODE[step], *more))
+
+
+@pytest.mark.parametrize("notebook", NOTEBOOKS)
+def test_all_code_that_a_notebook_imports_makes_its_step_stale(notebook):
+    step = STEPS.get(notebook) or STEPS["NOTEBOOKS[STAGE[variant]]" if "_train_" in notebook else "page"]
+    assert unlisted(notebook_imports(notebook), step) == []
+
+
+def test_all_code_that_shapes_weights_and_scores_stands_in_their_digests():
+    assert unlisted(["dualdepth.training.variants"], "training", "plots") == []  # pictures in the log shape no weights
+    scoring = [f"dualdepth.tables.{name}" for name in ("scoring", "make3d_scoring", "odometry_scoring")]
+    assert unlisted(scoring, "predict") == []
+
+
+def test_a_change_in_what_comes_after_them_leaves_data_and_weights_alone():
+    after = {"evaluation", "tables", "inference", "model", "report", "paper", "commands", "cli", "publish", "bench", "notebooks"}
+    assert not after & {*CODE["data"], *CODE["training"], *CODE["training_page"]} and "plots" not in CODE["training"]
+
+
+def test_what_is_listed_or_exempt_is_there():
+    parts = {part(module) for module in modules()}
+    assert {*EXEMPT}.union(*CODE.values()) <= parts and not {*EXEMPT} & set().union(*CODE.values())
+
+
+@pytest.fixture
+def digest_of(tmp_path, monkeypatch):
+    """The digest of a step whose only folder has the given source."""
+    monkeypatch.setattr(staleness, "PACKAGE", tmp_path)
+    monkeypatch.setattr(staleness, "CODE", {"step": ("parts",)})
+
+    def digest(source, name="parts/circle.py"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(source)
+        staleness._digest.cache_clear()
+        return code_digest("step")
+
+    yield digest
+    staleness._digest.cache_clear()
+
+
+@pytest.mark.parametrize(
+    "old, new",
+    [
+        ("# in square metres", "# m²"),
+        ('"""Of a circle."""', '"""Area of a circle of radius r."""'),
+        ('"""A module."""\n', '"""Circles."""\n\n\n'),
+        ("math.pi * r**2", "(math.pi\n            * r ** 2)"),
+    ],
+)
+def test_comments_docstrings_and_layout_make_nothing_stale(digest_of, old, new):
+    assert old in SOURCE and digest_of(SOURCE.replace(old, new)) == digest_of(SOURCE)
+
+
+@pytest.mark.parametrize("old, new", [("r**2", "r**3"), ("math.pi", "3.14"), ("area", "surface"), ("(r)", "(r=1)")])
+def test_a_change_of_the_code_makes_results_stale(digest_of, old, new):
+    assert digest_of(SOURCE.replace(old, new)) != digest_of(SOURCE)
+
+
+def test_a_new_file_beside_it_makes_results_stale(digest_of):
+    before = digest_of(SOURCE)
+    assert digest_of("def length(r): return r\n", "parts/length.py") != before
+
+
+def test_a_notebooks_digest_is_blind_to_its_outputs(tmp_path):
+    def digest(source, outputs):
+        cell = {"cell_type": "code", "source": source, "outputs": outputs, "metadata": {}}
+        (tmp_path / "00_a.ipynb").write_text(json.dumps({"cells": [{"cell_type": "markdown", "source": str(outputs)}, cell]}))
+        return notebook_digest(tmp_path / "00_a.ipynb")
+
+    before = digest(["x = 1\n", "x"], [])
+    assert digest(["x = 1\n", "x"], [{"text": "1"}]) == digest("x = 1\nx", []) == before
+    assert digest(["x = 2\n", "x"], []) != before
+
+
+def test_a_setting_is_named_by_its_path():
+    found = inputs("05_table_main", "tables", ROOT, setting={"evaluation": {"crop": "eigen"}}, files={"own.json": None})
+    assert {("setting evaluation.crop", "eigen"), ("files own.json", None)} <= set(found)
+    assert [name for name, _ in found][:2] == ["notebook 05_table_main", f"code {CODE['tables'][0]}"]
+
+
+def test_a_file_that_is_not_there_has_no_digest(tmp_path):
+    assert file_digest(tmp_path / "a") is None
+
+
+def test_a_folders_digest_changes_with_its_files_alone(tmp_path):
+    assert folder_digest("", "*") == folder_digest(tmp_path, "*")
+    (tmp_path / "a.png").write_bytes(b"1")
+    before = folder_digest(tmp_path, "*.png")
+    assert before == folder_digest(tmp_path, "*.png") != folder_digest("", "*.png")
+    (tmp_path / "other.txt").touch()
+    assert folder_digest(tmp_path, "*.png") == before
+    (tmp_path / "a.png").write_bytes(b"12")
+    assert folder_digest(tmp_path, "*.png") != before

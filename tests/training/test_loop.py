@@ -1,0 +1,146 @@
+"""The training loop: it learns, it repeats itself to the bit, it goes on where it was killed, and it stops in one line."""
+
+import json
+import signal
+
+import pytest
+import torch
+from accelerate.state import AcceleratorState
+from small_training import STEPS, WIDE, equal, profile_of, quiet_torch, run, triplets  # noqa: F401
+
+from dualdepth.device import has_bf16
+from dualdepth.errors import InputError
+from dualdepth.profile import load_profile
+from dualdepth.settings import StageSettings
+from dualdepth.training.checkpoints import checkpoint_paths
+from dualdepth.training.log import read_log
+from dualdepth.training.loop import learning_rate, total_steps
+from dualdepth.training.stages import Stage
+
+# ruff: noqa: F811
+
+BF16 = pytest.param("bf16", marks=pytest.mark.skipif(not has_bf16(torch.device("cpu")), reason="this CPU only imitates bf16"))
+
+
+@pytest.mark.slow
+def test_it_learns_one_triplet(run, profile_of, triplets, tmp_path):
+    profile = profile_of(
+        training={"log_every": 25, "checkpoint_every": 1000},
+        stage={"epochs": 25, "learning_rates": [[1, 1e-3]]},
+        augmentation={"max_scale": 1.0},
+    )
+    run(profile=profile, given=triplets[1:2])
+    log = read_log(tmp_path / "run/log.csv")
+    first, last = log.iloc[0], log.iloc[-1]
+    assert list(log["step"]) == [1, 25]
+    assert last["photometric"] < 0.5 * first["photometric"]
+    assert last["loss"] < first["loss"]
+    assert last["valid_share"] > 0.8  # not by looking away
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("precision", ["float32", BF16])
+def test_two_runs_with_one_seed_are_equal_to_the_bit_and_another_seed_is_not(run, profile_of, tmp_path, precision):
+    def profile(workers):
+        return profile_of(training={"precision": precision, "workers": workers}, hr_size=WIDE)
+
+    first, second = run("a", profile=profile(0)), run("b", profile=profile(1))
+    assert equal(first, second)
+    assert (tmp_path / "a/model.safetensors").read_bytes() == (tmp_path / "b/model.safetensors").read_bytes()
+    assert not equal(first, run("c", profile=profile(0), seed=1))
+
+
+def test_a_finished_run_leaves_weights_with_their_card_a_log_and_a_picture(run, tmp_path):
+    run()
+    folder = tmp_path / "run"
+    card = json.loads((folder / "model.json").read_text())
+    facts = {"is": "x", "seed": 0, "recipe": "r", "steps": STEPS, "resumed_at": 0, "precision": "float32", "batch_parts": 1}
+    assert facts.items() <= card.items()
+    assert card.keys() == facts.keys() | {"seconds_of_last_run", "device", "last_losses", "sha256"}
+    assert not checkpoint_paths(folder)
+    assert (folder / f"panels/step_{STEPS:07d}.png").stat().st_size > 1000
+    assert list((folder / "tensorboard").iterdir())
+    log = read_log(folder / "log.csv")
+    assert list(log["step"]) == list(range(1, STEPS + 1))
+    # 6 steps stretch the paper's 40 epochs: 1.5 steps each at the first two rates
+    assert log["learning_rate"].tolist() == [2e-4, 2e-4, 1e-4, 5e-5, 5e-5, 5e-5]
+
+
+def test_too_few_triplets_are_an_error(run, profile_of):
+    with pytest.raises(InputError, match="3 training triplets are fewer than a batch of 4"):
+        run(profile=profile_of(stage={"batch_size": 4}))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"training": {"precision": "bf16"}, "hr_size": WIDE},
+        {"training": {"channels_last": False}},
+        {"training": {"accumulate": 2}, "stage": {"batch_size": 2}},
+        {"loss": {"feature": 0}},
+        {"loss": {"scales": 1}},
+        {"loss": {"beyond_paper_automask": True}},
+        {"augmentation": {"augment_first": False}},
+        {"augmentation": {"beyond_paper_flip": True}},
+    ],
+    ids=str,
+)
+def test_every_switch_trains_and_shapes_the_weights(run, profile_of, changes):
+    plain = {"stage": {"max_steps": 2} | changes.get("stage", {}), "hr_size": changes.get("hr_size", (192, 192))}
+    weights = run("switched", profile=profile_of(**changes | plain))
+    assert all(value.isfinite().all() for value in weights.values())
+    if "channels_last" not in str(changes):
+        AcceleratorState._reset_state(reset_partial_state=True)
+        assert not equal(weights, run("plain", profile=profile_of(**plain)))
+
+
+def test_the_learning_rate_steps_down_at_the_papers_epochs():
+    stage, per_epoch = load_profile("paper").training.lr, 39_810 // 4
+    total = total_steps(stage, 39_810)
+    assert total == 40 * per_epoch == 398_080
+    rates = {epoch: {learning_rate(stage, (epoch - 1) * per_epoch + s, total) for s in (0, 1, per_epoch - 1)} for epoch in range(1, 41)}
+    assert all(rates[epoch] == {2e-4} for epoch in range(1, 11))
+    assert all(rates[epoch] == {1e-4} for epoch in range(11, 21))
+    assert all(rates[epoch] == {5e-5} for epoch in range(21, 41))
+
+
+@pytest.mark.parametrize("total", [4, 40, 396, 2376])
+def test_a_shorter_run_has_the_same_steps_in_proportion(total):
+    rates = [learning_rate(StageSettings(), step, total) for step in range(total)]
+    assert rates == [2e-4] * (total // 4) + [1e-4] * (total // 4) + [5e-5] * (total // 2)
+
+
+def test_steps_are_whole_batches_of_all_epochs_unless_cut_short():
+    assert total_steps(StageSettings(epochs=3), 10) == 6
+    assert total_steps(StageSettings(epochs=3, max_steps=4), 10) == 4
+    assert total_steps(StageSettings(epochs=3, max_steps=9), 10) == 6
+
+
+def test_the_signal_handler_before_a_training_is_there_again_after_it(run, profile_of):
+    before = signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    try:
+        run(profile=profile_of(stage={"max_steps": 1}))
+        assert signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def test_steps_of_a_batch_that_is_cut_in_parts_average_the_parts(run, profile_of):
+    """Gradients of the parts are averaged, not added: else the step would grow with `accumulate`."""
+    seen = []
+
+    class Watched(Stage):
+        def __init__(self, *networks, low):
+            super().__init__(*networks, low=low)
+            self.pose_net.layers[-1].bias.register_post_accumulate_grad_hook(lambda p: seen.append(p.grad.clone()))
+
+        def forward(self, batch):
+            output = super().forward(batch)
+            bias = self.pose_net.layers[-1].bias.sum()
+            return output._replace(losses=output.losses._replace(total=bias))  # gradient 1, whatever the batch
+
+    for accumulate in (1, 3):
+        run(f"run{accumulate}", Watched, profile_of(training={"accumulate": accumulate}, stage={"batch_size": 3, "max_steps": 1}))
+    assert torch.allclose(seen[-1], seen[0])
+    assert torch.allclose(seen[0], torch.ones(12))
+    assert len(seen) == 4

@@ -1,0 +1,138 @@
+"""A training that was stopped or killed, or could not write, goes on as if nothing had been."""
+
+import json
+import os
+import signal
+
+import pandas as pd
+import pytest
+import torch
+from small_training import STEPS, WIDE, at_forward, equal, kill, kill_softly, profile_of, quiet_torch, run, triplets  # noqa: F401
+
+from dualdepth.errors import InputError
+from dualdepth.training.checkpoints import last_checkpoint
+from dualdepth.training.log import read_log
+from dualdepth.training.stages import Stage
+from dualdepth.training.weights import load_card
+
+# ruff: noqa: F811
+
+
+@pytest.mark.parametrize("number", [1, 3, 4, STEPS])
+def test_a_run_that_was_told_to_stop_goes_on_to_the_same_weights(run, tmp_path, number):
+    whole = run("whole")
+    with pytest.raises(SystemExit, match=f"stopped at step {number} of {STEPS}"):
+        run("cut", kind=at_forward(number, kill_softly))
+    assert last_checkpoint(tmp_path / "cut")["step"] == number
+    assert equal(run("cut"), whole)
+
+
+def test_a_killed_run_goes_on_from_its_last_checkpoint_to_the_same_weights_and_log(run, tmp_path):
+    whole = run("whole")
+    with pytest.raises(KeyboardInterrupt):
+        run("cut", kind=at_forward(4, kill))
+    assert last_checkpoint(tmp_path / "cut")["step"] == 2
+    assert list(read_log(tmp_path / "cut/log.csv")["step"]) == [1, 2, 3]
+    (tmp_path / "cut/panels").mkdir(exist_ok=True)
+    (tmp_path / "cut/panels/step_0000099.png").touch()  # of a longer run before
+    assert equal(run("cut"), whole)
+    assert [path.name for path in (tmp_path / "cut/panels").iterdir()] == [f"step_{STEPS:07d}.png"]
+    logs = [read_log(tmp_path / name / "log.csv").drop(columns="steps_per_second") for name in ("cut", "whole")]
+    pd.testing.assert_frame_equal(*logs)
+    assert list(logs[0]["step"]) == list(range(1, STEPS + 1))
+    card = json.loads((tmp_path / "cut/model.json").read_text())
+    assert card["resumed_at"] == 2
+
+
+@pytest.mark.parametrize(("minutes", "step"), [(1e-9, 3), (10.0, None)])
+def test_a_checkpoint_is_due_by_time_too(run, profile_of, tmp_path, minutes, step):
+    with pytest.raises(KeyboardInterrupt):
+        run(kind=at_forward(4, kill), profile=profile_of(training={"checkpoint_every": 1000, "checkpoint_minutes": minutes}))
+    saved = last_checkpoint(tmp_path / "run")
+    assert (saved and saved["step"]) == step
+
+
+def test_random_draws_inside_a_network_are_the_same_after_a_stop(run):
+    class Dropping(Stage):
+        def forward(self, batch):
+            output = super().forward(batch)
+            noise = torch.rand(())  # as dropout draws
+            return output._replace(losses=output.losses._replace(total=output.losses.total * noise))
+
+    whole = run("whole", kind=Dropping)
+
+    class Stopped(Dropping):
+        calls = 0
+
+        def forward(self, batch):
+            Stopped.calls += 1
+            if Stopped.calls == 4:
+                os.kill(os.getpid(), signal.SIGTERM)
+            return super().forward(batch)
+
+    with pytest.raises(SystemExit):
+        run("cut", kind=Stopped)
+    assert equal(run("cut", kind=Dropping), whole)
+    assert not equal(run("plain"), whole)
+
+
+def test_a_training_ends_in_the_precision_in_which_it_began(run, profile_of, tmp_path, monkeypatch, capsys):
+    """`auto` means another one on the machine where it goes on."""
+    profile = profile_of(training={"precision": "auto"}, hr_size=WIDE)
+    monkeypatch.setattr("dualdepth.device.has_bf16", lambda device: False)
+    whole = run("whole", profile=profile)
+    with pytest.raises(SystemExit):
+        run("cut", profile=profile, kind=at_forward(3, kill_softly))
+    monkeypatch.setattr("dualdepth.device.has_bf16", lambda device: True)
+    assert equal(run("cut", profile=profile), whole)
+    assert "in float32" in capsys.readouterr().out
+    assert load_card(tmp_path / "cut/model.safetensors")["precision"] == "float32"
+
+
+def test_a_checkpoint_of_another_recipe_is_not_resumed(run, tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        run("cut", kind=at_forward(3, kill_softly), recipe="old", seed=5)
+    weights = run("cut", recipe="new")
+    assert "settings or code changed since the checkpoint of step 3; training from the start" in capsys.readouterr().out
+    assert equal(weights, run("whole"))
+    assert json.loads((tmp_path / "cut/model.json").read_text())["resumed_at"] == 0
+
+
+def test_a_checkpoint_or_log_that_cannot_be_written_is_a_warning(run, tmp_path, monkeypatch, capsys):
+    whole = run("whole")
+
+    def refuse(path, text):
+        raise OSError(28, "No space left on device")
+
+    def full(state, path):
+        raise RuntimeError("PytorchStreamWriter failed writing file data/3")
+
+    monkeypatch.setattr("dualdepth.training.log.write_text", refuse)
+    monkeypatch.setattr(torch, "save", full)
+    assert equal(run("full"), whole)
+    said = capsys.readouterr().out
+    assert "warning: checkpoint of step 2 was not written" in said and "there is none yet" in said
+    assert "warning: the log was not written ([Errno 28] No space left on device)" in said
+
+
+def test_weights_that_cannot_be_written_are_an_error_and_the_checkpoint_stays(run, tmp_path, monkeypatch):
+    whole = run("whole")
+
+    def full(tensors, path):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("dualdepth.training.weights.save_file", full)
+        with pytest.raises(InputError, match=r"full/model\.safetensors: could not be written \(.*No space left"):
+            run("full")
+    assert last_checkpoint(tmp_path / "full")["step"] == STEPS
+    assert not list((tmp_path / "full").glob(".*part*"))
+    assert equal(run("full"), whole)
+
+
+def test_leftovers_of_a_killed_writer_are_removed(run, profile_of, tmp_path):
+    leftover = tmp_path / "run/.checkpoint_00000004.0123abcd.part.pt"
+    leftover.parent.mkdir()
+    leftover.write_bytes(b"half")
+    run(profile=profile_of(stage={"max_steps": 1}))
+    assert not leftover.exists()

@@ -1,0 +1,186 @@
+"""What one optimisation step of either stage looks at, and what it moves."""
+
+import pytest
+import torch
+from small_stages import batch_of, dual_of, stage_of  # noqa: F401
+from torch import nn
+
+from dualdepth.losses import total_loss
+from dualdepth.networks.decoder import DepthOutput
+from dualdepth.networks.pose_net import PoseNet
+from dualdepth.training import stages
+
+# ruff: noqa: F811
+
+
+class SeenDepth(nn.Module):
+    """Stands for a depth network and notes what it is given."""
+
+    calls = 0
+
+    def forward(self, image, scales=4):
+        self.image, self.scales, self.calls = image, scales, self.calls + 1
+        b, _, h, w = image.shape
+        return DepthOutput([image.mean(1, keepdim=True)[..., :: 2**s, :: 2**s] + 0.5 for s in range(scales)], image.expand(b, 3, h, w))
+
+
+class SeenPose(PoseNet):
+    """PoseNet that notes what it is given."""
+
+    def forward(self, images):
+        self.images = images
+        return super().forward(images)
+
+
+def seen_stage(low, depth_net=None, **changes):
+    torch.manual_seed(0)
+    return stage_of(depth_net or SeenDepth(), SeenPose(), low, **changes)
+
+
+def averaged(batch):
+    """Means of 3×3 pixels of all images, in [0, 1]."""
+    return batch["images"].float().reshape(2, 3, 3, 32, 3, 64, 3).mean((4, 6)) / 255
+
+
+@pytest.fixture(scope="module")
+def batch():
+    return batch_of(2, (96, 192))
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """What the losses were asked for: images, matrix, disparities, poses, settings, features, a call each."""
+    calls = []
+    monkeypatch.setattr(stages, "total_loss", lambda *a: calls.append(a) or total_loss(*a))
+    return calls
+
+
+@pytest.mark.parametrize("low", [True, False])
+def test_posenet_sees_target_and_sources_averaged_3_by_3(batch, low):
+    stage = seen_stage(low)
+    stage(batch)
+    assert torch.allclose(stage.pose_net.images, averaged(batch), atol=1e-6)
+
+
+def test_lr_net_sees_target_and_sources_averaged_3_by_3_and_depth_is_that_of_the_target(batch):
+    stage = seen_stage(low=True)
+    output = stage(batch)
+    assert stage.depth_net.calls == 1
+    assert torch.allclose(stage.depth_net.image.reshape(2, 3, 3, 32, 64), averaged(batch), atol=1e-6)
+    assert torch.allclose(output.target, averaged(batch)[:, 0], atol=1e-6)
+    assert torch.allclose(output.disparity, output.target.mean(1, keepdim=True) + 0.5, atol=1e-6)
+    assert torch.equal(output.features, output.target)
+
+
+def test_without_the_feature_loss_lr_net_sees_targets_alone(batch):
+    stage = seen_stage(low=True, feature=0)
+    output = stage(batch)
+    assert torch.allclose(stage.depth_net.image, output.target)
+    assert output.losses.feature == 0
+
+
+def test_at_high_resolution_only_the_target_goes_through_the_depth_network(batch):
+    stage = seen_stage(low=False)
+    output = stage(batch)
+    expected = batch["images"][:, 0].float() / 255
+    assert stage.depth_net.calls == 1
+    assert torch.allclose(stage.depth_net.image, expected)
+    assert torch.allclose(output.target, expected)
+    assert torch.allclose(output.disparity, expected.mean(1, keepdim=True) + 0.5, atol=1e-6)
+
+
+def test_frames_that_were_shrunk_first_are_not_shrunk_again(batch):
+    stage = seen_stage(low=True, augment_first=False)
+    output = stage(batch)
+    assert torch.allclose(output.target, batch["images"][:, 0].float() / 255)
+    assert torch.allclose(stage.pose_net.images, batch["images"].float() / 255)
+
+
+def test_both_orders_mean_the_same_geometry(batch, asked):
+    """Intrinsics given at full resolution are those of the low-resolution view times three."""
+    seen_stage(low=True)(batch)
+    assert torch.allclose(asked[0][1][0], torch.tensor([[40.0, 0, 31.5], [0, 40, 15.5], [0, 0, 1]]), atol=1e-5)
+    seen_stage(low=True, augment_first=False)(batch)
+    assert torch.equal(asked[1][1], batch["intrinsics"])
+
+
+def test_losses_of_stage_2_are_those_of_full_resolution_with_the_batchs_own_intrinsics(batch, asked):
+    output = seen_stage(low=False)(batch)
+    images, matrix, disparities, poses, *_ = asked[0]
+    assert torch.allclose(images, batch["images"].float() / 255)
+    assert torch.equal(matrix, batch["intrinsics"])
+    assert [tuple(d.shape[-2:]) for d in disparities] == [(96 >> s, 192 >> s) for s in range(4)]
+    assert poses.shape == (2, 2, 6)
+    assert output.losses.synthesized.shape == (2, 3, 96, 192)
+
+
+def test_at_high_resolution_there_is_no_feature_loss_whatever_its_weight(batch, asked):
+    losses = seen_stage(low=False, photometric=2.0, smoothness=0.5, feature=100.0)(batch).losses
+    assert losses.feature == 0
+    assert asked[0][5] is None
+    assert torch.allclose(losses.total, 2.0 * losses.photometric + 0.5 * losses.smoothness)
+    assert losses.photometric > 0
+    assert losses.smoothness > 0
+
+
+@pytest.mark.parametrize("low", [True, False])
+@pytest.mark.parametrize("changes", [{"alpha": 0.3}, {"mean_disparity": 2.0}, {"beyond_paper_automask": True}, {"scales": 2}], ids=str)
+def test_the_profiles_loss_is_taken(batch, changes, low):
+    stage = seen_stage(low, **changes)
+    assert stage(batch).losses.photometric != seen_stage(low)(batch).losses.photometric
+    assert stage.depth_net.scales == changes.get("scales", 4)
+
+
+@pytest.mark.parametrize("low", [True, False])
+@pytest.mark.parametrize("channels_last", [True, False])
+def test_the_memory_layout_is_the_profiles(batch, channels_last, low):
+    stage = seen_stage(low, channels_last=channels_last)
+    stage(batch)
+    assert stage.depth_net.image.is_contiguous(memory_format=torch.channels_last) == channels_last
+
+
+@pytest.mark.parametrize("low", [True, False])
+def test_the_log_has_losses_poses_and_disparities(batch, low):
+    output = seen_stage(low)(batch)
+    s = output.statistics
+    assert s["loss"] == output.losses.total.detach()
+    assert s["disparity_min"] == output.disparity.min()
+    assert s["disparity_max"] == output.disparity.max()
+    assert 0 < s["translation"] < 0.05
+    assert 0 < s["rotation"] < 0.05
+    assert s["feature_spread"] > 0.01
+    assert not any(value.requires_grad for value in (*s.values(), *output[1:5]))
+    assert "attention_scale" not in s
+
+
+@pytest.mark.parametrize("low", [True, False])
+def test_losses_are_float32_under_bfloat16(batch, low):
+    stage = seen_stage(low)
+    poses = stage(batch).poses
+    stage.pose_net.forward = lambda images: poses  # PoseNet's own are rounded
+    plain = stage(batch).losses
+    with torch.autocast("cpu", torch.bfloat16):
+        losses = stage(batch).losses
+    assert all(torch.equal(a, b) for a, b in zip(losses, plain))
+
+
+@pytest.mark.parametrize("link", ["attention", "embedding", "direct"])
+def test_the_log_has_the_scale_of_what_sa_attention_hands_over(dual_of, link):
+    net, handed = dual_of(link), []
+    if net.attention:
+        net.attention.register_forward_hook(lambda _module, _given, found: handed.append(found))
+    statistics = seen_stage(False, net)(batch_of(1, (192, 192))).statistics
+    assert ("attention_scale" in statistics) == (link != "direct")
+    if handed:
+        assert torch.allclose(statistics["attention_scale"], handed[0].square().mean().sqrt())
+
+
+def test_a_step_moves_hr_net_sa_attention_and_posenet_but_not_lr_net(dual_of):
+    stage = seen_stage(False, dual_of("attention")).train()
+    before = {name: value.clone() for name, value in stage.state_dict().items()}
+    optimizer = torch.optim.Adam(stage.parameters(), lr=1e-3)
+    stage(batch_of(1, (192, 192))).losses.total.backward()
+    optimizer.step()
+    same = {name for name, value in stage.state_dict().items() if torch.equal(value, before[name])}
+    assert same == {f"depth_net.lr_net.{name}" for name in stage.depth_net.lr_net.state_dict()}
+    assert {name.split(".")[1] for name in before if name.startswith("depth_net.")} == {"lr_net", "attention", "hr_net"}

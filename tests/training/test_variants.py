@@ -1,0 +1,228 @@
+"""Trainings by name: what each starts from, what its card says, when it is done or stale, and how it stops."""
+
+import json
+import os
+import shutil
+import signal
+
+import pytest
+import torch
+from small_kitti import DRIVE, write_sequence
+from small_stages import OTHER, STEPS, after_stage_1, backbones, change_card, equal, part, quiet_torch, run_in, trained  # noqa: F401
+
+from dualdepth.data.odometry import write_odometry_index
+from dualdepth.errors import InputError
+from dualdepth.files import file_digest, locked
+from dualdepth.inference.predict import load_depth_net
+from dualdepth.networks.architecture import Architecture
+from dualdepth.networks.depth_nets import LRNet
+from dualdepth.networks.pose_net import PoseNet
+from dualdepth.run import Sources
+from dualdepth.training import variants
+from dualdepth.training.checkpoints import last_checkpoint
+from dualdepth.training.loop import Trainer
+from dualdepth.training.stages import Stage
+from dualdepth.training.variants import make_stage, start_weights, train_variant
+from dualdepth.training.weights import load_card
+
+# ruff: noqa: F811
+
+
+def equal_anywhere(a, b):
+    return [name for name, value in a.items() if value.is_floating_point() and torch.equal(value, b[name])]
+
+
+def test_dual_holds_stage_1s_lr_net_to_the_bit_and_a_posenet_that_went_on(trained):
+    lr, dual = trained.weights("lr", 0), trained.weights("dual", 0)
+    assert equal(part(dual, "depth_net.lr_net."), part(lr, "depth_net."))
+    assert part(dual, "pose_net.").keys() == part(lr, "pose_net.").keys()
+    assert equal_anywhere(part(dual, "pose_net."), part(lr, "pose_net.")) == []
+    assert part(dual, "depth_net.hr_net.")
+    assert part(dual, "depth_net.attention.")
+
+
+@pytest.mark.parametrize("name", ["dual", "dual_no_sa", "hr_only"])
+def test_stage_2_begins_with_stage_1s_posenet_and_a_dual_network_with_its_lr_net(trained, name):
+    stage = make_stage(trained.profile, name, start_weights(trained, trained.profile.variant(name), 0))
+    assert equal(stage.pose_net.state_dict(), part(trained.weights("lr", 0), "pose_net."))
+    if name == "hr_only":
+        assert not hasattr(stage.depth_net, "lr_net")
+    else:
+        assert equal(stage.depth_net.lr_net.state_dict(), part(trained.weights("lr", 0), "depth_net."))
+        assert not any(p.requires_grad for p in stage.depth_net.lr_net.parameters())
+
+
+def test_a_single_network_begins_with_nothing(trained, backbones):
+    assert start_weights(trained, trained.profile.variant("one_network"), 0) is None
+    torch.manual_seed(5)
+    stage = make_stage(trained.profile, "one_network")
+    torch.manual_seed(5)
+    depth_net, pose_net = LRNet(backbones.usual), PoseNet()
+    assert not stage.low
+    assert equal(stage.depth_net.state_dict(), depth_net.state_dict())
+    assert equal(stage.pose_net.state_dict(), pose_net.state_dict())
+
+
+@pytest.mark.parametrize(("name", "pretrained"), [("lr", True), ("dual", False), ("hr_only", False), ("one_network", True)])
+def test_imagenets_weights_are_for_networks_that_start_from_nothing(trained, monkeypatch, name, pretrained):
+    """LR-Net's encoder is stage 1's, so a hub that cannot be reached must not stop stage 2."""
+    asked, build = [], Architecture.build
+    monkeypatch.setattr(Architecture, "build", lambda self, pretrained=False: asked.append(pretrained) or build(self))
+    profile = trained.profile.model_copy(update={"training": trained.profile.training.model_copy(update={"pretrained": True})})
+    make_stage(profile, name, start_weights(trained, profile.variant(name), 0))
+    assert asked == [pretrained]
+
+
+def test_the_card_says_which_network_it_is_what_it_saw_and_what_it_started_from(trained, backbones):
+    lr, dual = (load_card(trained.weights(name, 0)) for name in ("lr", "dual"))
+    expected = {
+        "variant": "dual",
+        "network": "dual",
+        "encoder": backbones.usual,
+        "link": "attention",
+        "similarity": "dot",
+        "normalise": "none",
+        "hr_size": [192, 192],
+        "pretrained": False,
+        "drives": [DRIVE, OTHER],  # stage 1's too
+        "starts_from": {"variant": "lr", "seed": 0, "steps": 2, "sha256": file_digest(trained.weights("lr", 0))},
+        "seed": 0,
+        "recipe": trained.recipe("dual", 0),
+        "steps": STEPS,
+        "sha256": file_digest(trained.weights("dual", 0)),
+    }
+    assert {name: dual[name] for name in expected} == expected
+    assert dual["about"].endswith(", trained on 3 triplets: a test")
+    assert {name: lr[name] for name in ("variant", "network", "drives", "starts_from", "steps")} == {
+        "variant": "lr",
+        "network": "lr",
+        "drives": [DRIVE],
+        "starts_from": None,
+        "steps": 2,
+    }
+    inputs = {"work/own/prepared/triplets.csv", "work/own/runs/lr/seed0/model.safetensors"}
+    assert dual["stamp"]["inputs_sha256"] == {name: file_digest(trained.root / name) for name in inputs}
+
+
+@pytest.mark.parametrize("said", [True, False])
+@pytest.mark.parametrize("name", ["dual", "dual_no_sa", "hr_only"])
+def test_whether_imagenets_weights_are_in_it_stands_in_stage_1s_card(after_stage_1, monkeypatch, name, said):
+    """The profile says that there are none, and HR-Net by itself never has any."""
+    cards = []
+
+    def note(trainer, card):
+        cards.append(card)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Trainer, "run", note)
+    run = after_stage_1()
+    change_card(run, pretrained=said)
+    with pytest.raises(KeyboardInterrupt):
+        train_variant(run, name, 0)
+    assert cards[0]["pretrained"] == (said and name != "hr_only")
+
+
+@pytest.mark.parametrize(("name", "network"), [("lr", "lr"), ("dual", "dual"), ("hr_only", "hr"), ("one_network", "single")])
+def test_each_kind_of_network_is_trained_and_read_back(trained, after_stage_1, name, network):
+    run = trained if name in ("lr", "dual") else after_stage_1()
+    weights = run.weights(name, 0)
+    if run is not trained:
+        train_variant(run, name, 0)
+        assert load_card(weights)["steps"] == 1
+        drives = {"hr_only": [DRIVE, OTHER], "one_network": [OTHER]}[name]
+        assert load_card(weights)["drives"] == drives
+        assert (load_card(weights)["starts_from"] is None) == (name == "one_network")
+    net, architecture, hr_size = load_depth_net(weights)
+    assert architecture.network == network
+    assert hr_size == (192, 192)
+    assert equal(net.state_dict(), part(weights, "depth_net."))
+
+
+def test_what_is_done_is_not_trained_again_but_marked(trained, capsys, monkeypatch):
+    monkeypatch.setattr(Stage, "forward", lambda *_: pytest.fail("it trains"))
+    weights = trained.weights("dual", 0)
+    marker = weights.with_name("trained.json")
+    before = weights.stat().st_mtime_ns
+    for _ in range(2):
+        assert json.loads(marker.read_text()) == {"weights_sha256": file_digest(weights)}
+        marker.unlink()
+        assert train_variant(trained, "dual", 0) == weights
+    assert capsys.readouterr().out == 2 * "already trained: 3 steps, seed 0\n"
+    assert weights.stat().st_mtime_ns == before
+
+
+def test_what_is_being_trained_is_not_trained_a_second_time_and_whose_it_is_is_said(trained, monkeypatch):
+    monkeypatch.setattr(variants, "PATIENCE", 0.1)
+    with locked(trained.training("dual", 0) / "lock"):
+        with pytest.raises(InputError, match=rf"dual/seed0/lock: held by process {os.getpid()} on \S+; wait for it or stop it"):
+            train_variant(trained, "dual", 0)
+        train_variant(trained, "lr", 0)  # another variant is another training
+        waited = []
+        monkeypatch.setattr("dualdepth.training.variants.wait_for_everyone", lambda: waited.append(True))
+        monkeypatch.setenv("WORLD_SIZE", "2")
+        monkeypatch.setenv("RANK", "1")
+        train_variant(trained, "dual", 0)  # the second of two processes does not ask for what the first one holds, but waits for it
+        assert waited
+
+
+def test_another_stage_1_makes_stage_2_stale(trained, after_stage_1):
+    first = after_stage_1("first", lr={"batch_size": 1, "max_steps": 1})
+    shutil.copytree(trained.training("dual", 0), first.training("dual", 0))
+    assert first.recipe("dual", 0) == trained.recipe("dual", 0)
+    train_variant(first, "lr", 0)
+    assert file_digest(first.weights("lr", 0)) != file_digest(trained.weights("lr", 0))
+    assert first.recipe("dual", 0) != trained.recipe("dual", 0)
+    before = first.weights("dual", 0).with_name("trained.json").read_text()
+    train_variant(first, "dual", 0)
+    card = load_card(first.weights("dual", 0))
+    assert card["recipe"] == first.recipe("dual", 0)
+    assert card["starts_from"]["sha256"] == file_digest(first.weights("lr", 0))
+    assert card["drives"] == [OTHER]
+    assert equal(part(first.weights("dual", 0), "depth_net.lr_net."), part(first.weights("lr", 0), "depth_net."))
+    assert first.weights("dual", 0).with_name("trained.json").read_text() != before
+
+
+def test_one_seed_gives_the_same_weights_to_the_bit_wherever_it_is_trained(trained, after_stage_1):
+    again = train_variant(after_stage_1(), "dual", 0)
+    assert again.read_bytes() == trained.weights("dual", 0).read_bytes()
+
+
+def test_a_dual_training_that_was_stopped_and_killed_goes_on_to_the_same_weights(trained, after_stage_1, monkeypatch):
+    run, forward, calls = after_stage_1(), Stage.forward, []
+
+    def interrupted(stage, batch):
+        calls.append(batch["name"])
+        output = forward(stage, batch)
+        if len(calls) == 1:
+            os.kill(os.getpid(), signal.SIGTERM)  # a checkpoint at the end of this step
+        if len(calls) == 3:
+            raise KeyboardInterrupt  # as a crash: the checkpoint of step 2 is the last
+        return output
+
+    monkeypatch.setattr(Stage, "forward", interrupted)
+    for error, step in ((SystemExit, 1), (KeyboardInterrupt, 2)):
+        with pytest.raises(error):
+            train_variant(run, "dual", 0)
+        assert last_checkpoint(run.training("dual", 0))["step"] == step
+        assert not run.weights("dual", 0).exists()
+    weights = train_variant(run, "dual", 0)
+    assert len(calls) == 4
+    assert load_card(weights)["resumed_at"] == 2
+    assert weights.read_bytes() == trained.weights("dual", 0).read_bytes()
+
+
+def test_odometry_is_trained_on_its_own_triplets_and_names_the_raw_drives(trained, run_in, tmp_path):
+    run = run_in(tmp_path, train={"lr": None, "odometry_lr": None, "odometry_dual": None})
+    shutil.copytree(trained.prepared, run.prepared)
+    write_sequence(tmp_path / "odometry", "02", range(4))
+    sources = Sources.load(trained)._replace(odometry_root=tmp_path / "odometry")
+    sources.save(run)
+    with pytest.raises(InputError, match=r"odometry\.csv is missing: run notebook 02"):
+        train_variant(run, "odometry_lr", 0)
+    write_odometry_index(run.index("odometry_lr"), sources.odometry_root, ["02"])
+    for name in ("odometry_lr", "odometry_dual"):
+        card = load_card(train_variant(run, name, 0))
+        assert card["drives"] == ["2011_10_03/2011_10_03_drive_0034_sync"] and "on 2 triplets" in card["about"]
+    sources._replace(odometry_root=None).save(run)
+    with pytest.raises(InputError, match="odometry_lr needs ODOMETRY_ROOT"):
+        train_variant(run, "odometry_lr", 0)
