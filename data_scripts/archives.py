@@ -4,7 +4,6 @@ Every member is checked before the first byte is written, every CRC is verified 
 place only after all of them are whole.
 """
 
-import contextlib
 import functools
 import gzip
 import os
@@ -15,7 +14,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import IO, Any
 
 from tqdm import tqdm
 
@@ -36,23 +35,8 @@ class BadArchiveError(InputError):
     """An archive that is damaged, that would write where it must not, or that holds other files than it should."""
 
 
-class Member(NamedTuple):
-    """One file of an archive, as it announces itself."""
-
-    name: str
-    size: int
-    plain: bool
-    """False: a link or a special file."""
-    open: Callable[[], IO[bytes]]
-
-
-class Unpacked(NamedTuple):
-    """What was written."""
-
-    files: int
-    size: int
-    found: dict[str, Any]
-    """By `check`."""
+Member = tuple[str, int, bool, Callable[[], IO[bytes]]]
+"""A file of an archive, as it announces itself: name, size, whether it is plain (no link, no special file), and what opens it."""
 
 
 def unpack(
@@ -63,7 +47,7 @@ def unpack(
     *,
     check: Callable[[Path], dict[str, Any]] = lambda _: {},
     limit: int | None = None,
-) -> Unpacked:
+) -> dict[str, Any]:
     """Unpack an archive below `folder`, all of it or nothing.
 
     It is gone through twice: to check every member, then to write.
@@ -76,6 +60,9 @@ def unpack(
         check: called with the folder that the files wait in to be moved; what it raises refuses the archive.
         limit: bytes that it may unpack to; else a multiple of its own size.
 
+    Returns:
+        What was written, as numbers of `files` and `bytes`, and what `check` found.
+
     Raises:
         BadArchiveError: a truncated or corrupted archive, one that unpacks to more than the limit, or one with links, special files or
             members that point outside of `folder`.
@@ -85,28 +72,29 @@ def unpack(
     staging = folder / f".{archive.name}.unpacking"
     try:
         limit = limit or max(MOST_OF_SMALL, SWELLING * archive.stat().st_size)
-        members = _reader(archive, limit)
-        targets = [(_target(member, archive, place), member.size) for member in members()]
+        with archive.open("rb") as file:
+            members = _tar_members if file.read(2) == b"\x1f\x8b" else _zip_members
+        targets = [(_target(member, archive, place), member[1]) for member in members(archive, limit)]
         kept = [size for target, size in targets if target is not None]
         require_space(folder, sum(kept), f"unpacking {archive.name}")
         if bar is not None:
             bar.reset(sum(size for _, size in targets))
-        with _staged(staging):
-            for member, (target, _) in zip(members(), targets):
-                _write(member, staging / target if target is not None else None, bar)
-            found = check(staging)
-            _move(staging, folder)
+        shutil.rmtree(staging, ignore_errors=True)  # one may be left of a killed run
+        staging.mkdir(parents=True)
+        for (*_, opened), (target, _) in zip(members(archive, limit), targets):
+            _write(opened, staging / target if target is not None else None, bar)
+        found = check(staging)
+        for file in [path for path in staging.rglob("*") if path.is_file()]:
+            destination = folder / file.relative_to(staging)
+            destination.parent.mkdir(parents=True, exist_ok=True)
+            shutil.move(file, destination)  # not a rename: a date folder may be a link to another disk
     except DAMAGED as error:
         raise BadArchiveError(f"{archive}: not a whole zip or gzipped tar archive ({error})") from None
     except OSError as error:
         raise disk_error(folder, error) from None
-    return Unpacked(len(kept), sum(kept), found)
-
-
-def _reader(archive: Path, limit: int) -> Callable[[], Iterator[Member]]:
-    """What goes through the members of an archive, whose kind its first bytes tell."""
-    with archive.open("rb") as file:
-        return functools.partial(_tar_members if file.read(2) == b"\x1f\x8b" else _zip_members, archive, limit)
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+    return {"files": len(kept), "bytes": sum(kept)} | found
 
 
 def _zip_members(archive: Path, limit: int) -> Iterator[Member]:
@@ -115,7 +103,7 @@ def _zip_members(archive: Path, limit: int) -> Iterator[Member]:
         _check_limit(archive, sum(info.file_size for info in infos), limit)
         for info in infos:
             plain = stat.S_IFMT(info.external_attr >> 16) in (0, stat.S_IFREG)
-            yield Member(info.filename, info.file_size, plain, functools.partial(zipped.open, info))
+            yield info.filename, info.file_size, plain, functools.partial(zipped.open, info)
 
 
 def _tar_members(archive: Path, limit: int) -> Iterator[Member]:
@@ -124,7 +112,7 @@ def _tar_members(archive: Path, limit: int) -> Iterator[Member]:
             _check_limit(archive, info.offset_data + info.size, limit)  # before its bytes are unpacked
             if not info.isdir():
                 plain = info.isreg() and not info.issparse()
-                yield Member(info.name.removeprefix("./"), info.size, plain, functools.partial(tar.extractfile, info))
+                yield info.name.removeprefix("./"), info.size, plain, functools.partial(tar.extractfile, info)
         while stream.read(CHUNK):  # what follows the last member is under the CRC as well
             _check_limit(archive, stream.tell(), limit)
 
@@ -136,42 +124,23 @@ def _check_limit(archive: Path, size: int, limit: int) -> None:
 
 def _target(member: Member, archive: Path, place: Callable[[str], str | None]) -> str | None:
     """Where a member goes, or None; both are checked."""
-    if not member.plain:
-        raise BadArchiveError(f"{archive}: refused, since member {member.name!r} is a link or a special file")
-    target = place(member.name)
+    name, _, plain, _ = member
+    if not plain:
+        raise BadArchiveError(f"{archive}: refused, since member {name!r} is a link or a special file")
+    target = place(name)
     # Backslashes and colons have no place in the data sets' names, and lead astray on Windows.
-    for path in (member.name, target or "x"):
+    for path in (name, target or "x"):
         if path.startswith("/") or {"..", ".", ""} & set(path.split("/")) or set(path) & set("\\:\0"):
-            raise BadArchiveError(f"{archive}: refused, since member {member.name!r} points outside of the folder")
+            raise BadArchiveError(f"{archive}: refused, since member {name!r} points outside of the folder")
     return target
 
 
-@contextlib.contextmanager
-def _staged(staging: Path) -> Iterator[None]:
-    """A fresh folder to unpack in, removed in any case; one may be left of a killed run."""
-    shutil.rmtree(staging, ignore_errors=True)
-    staging.mkdir(parents=True)
-    try:
-        yield
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
-
-
-def _write(member: Member, target: Path | None, bar: tqdm | None) -> None:
+def _write(opened: Callable[[], IO[bytes]], target: Path | None, bar: tqdm | None) -> None:
     """Read a member to its end, which in a zip verifies its CRC and never yields more than it announces; write it if it has a target."""
     if target is not None:
         target.parent.mkdir(parents=True, exist_ok=True)
-    with member.open() as source, open(target or os.devnull, "wb") as sink:
+    with opened() as source, open(target or os.devnull, "wb") as sink:
         while chunk := source.read(CHUNK):
             sink.write(chunk)
             if bar is not None:
                 bar.update(len(chunk))
-
-
-def _move(staging: Path, folder: Path) -> None:
-    for parent, _, names in os.walk(staging):
-        destination = folder / Path(parent).relative_to(staging)
-        destination.mkdir(parents=True, exist_ok=True)
-        for name in names:
-            # A move, not a rename: a date folder may be a link to another disk.
-            shutil.move(Path(parent) / name, destination / name)

@@ -1,6 +1,7 @@
 """What the scripts that download data sets share: ask the sizes, check the disk, get and unpack each archive, mark it as done."""
 
 import contextlib
+import functools
 import json
 import sys
 from collections.abc import Callable, Sequence
@@ -35,34 +36,23 @@ def unpacked_cameras(archive: Archive, root: Path) -> set[str] | None:
         return None
 
 
-def is_complete(archive: Archive, root: Path, cameras: Sequence[str]) -> bool:
-    """Whether the wanted cameras of an archive were unpacked before; asks only the disk."""
-    there = unpacked_cameras(archive, root)
-    return there is not None and (not archive.images or set(cameras) <= there)
-
-
-def plan(archives: Sequence[Archive], root: Path, home: str, *, keep_archives: bool, if_offline: str) -> int:
-    """Ask the sizes, say what is to come, check the disk.
-
-    Returns:
-        The bytes of all the archives.
+def plan(archives: Sequence[Archive], root: Path, home: str, *, keep_archives: bool, if_offline: str) -> tuple[int, int]:
+    """Ask the sizes, say what is to come, check the disk; returns the bytes of all the archives, and how many of them are on disk already.
 
     Raises:
         InputError: an archive does not exist, no network, or the disk is too small.
     """
-    sizes = {}
-    for archive in progress(iterable=archives, desc="asking for sizes", unit="archive", leave=False):
-        sizes[archive.name] = remote_size(home + archive.address, if_offline)
-    left = {name: max(0, size - part_size(root / "archives" / name)) for name, size in sizes.items()}
-    total, missing = sum(sizes.values()), sum(left.values())
-    unpacked = UNPACKED * total
+    asked = progress(iterable=archives, desc="asking for sizes", unit="archive", leave=False)
+    sizes = [remote_size(home + archive.address, if_offline) for archive in asked]
+    left = [max(0, size - part_size(root / "archives" / archive.name)) for archive, size in zip(archives, sizes)]
+    total, missing, unpacked = sum(sizes), sum(left), UNPACKED * sum(sizes)
     # Archives that are deleted in turn never lie on the disk together.
-    needed = unpacked + (missing if keep_archives else max(left.values()))
+    needed = unpacked + (missing if keep_archives else max(left))
     here = f" ({gigabytes(total - missing)} of {gigabytes(total)} are here already)" if missing < total else ""
     print(f"{len(archives)} archives: {gigabytes(missing)} to download{here}, at most {gigabytes(unpacked)} when unpacked", flush=True)
     require_space(root, needed, "the download")
     print(f"the disk of {root} has the {gigabytes(needed)} that this takes", flush=True)
-    return total
+    return total, total - missing
 
 
 def download(
@@ -75,25 +65,22 @@ def download(
     keep_archives: bool = False,
     if_offline: str = IF_OFFLINE,
 ) -> int:
-    """Download and unpack what is not there yet, and return the number of archives that were missing.
+    """Download and unpack into `root` what is not there yet, and return the number of archives that were missing.
 
     Args:
-        archives: all that is wanted.
-        root: folder to fill.
-        home: address that the archives' are relative to.
-        cameras: to unpack.
-        check: of what came.
+        archives, root, home: all that is wanted, the folder to fill, and the address that theirs are relative to.
+        cameras, check: what to unpack, and how to look at what came.
         keep_archives: in `root/archives`; else each goes once unpacked.
         if_offline: the mend that the message names when there is no network.
 
     Raises:
         InputError: no network, no such archive, a damaged one, or a disk that is too small.
     """
-    pending = [archive for archive in archives if not is_complete(archive, root, cameras)]
+    before = {archive: unpacked_cameras(archive, root) for archive in archives}
+    pending = [archive for archive, there in before.items() if there is None or (archive.images and not set(cameras) <= there)]
     if not pending:
         return 0
-    total = plan(pending, root, home, keep_archives=keep_archives, if_offline=if_offline)
-    begun = sum(part_size(root / "archives" / archive.name) for archive in pending)
+    total, begun = plan(pending, root, home, keep_archives=keep_archives, if_offline=if_offline)
     with progress(total=total, initial=begun, unit="B", unit_scale=True) as bar:
         for number, archive in enumerate(pending, 1):
             bar.set_description(f"{number}/{len(pending)} {archive.name}")
@@ -109,17 +96,15 @@ def download(
 
 def install(archive: Archive, path: Path, root: Path, cameras: Sequence[str], check: Check) -> None:
     """Unpack an archive and write its marker last; a bad archive is deleted, so that the next run gets it anew."""
+    place, look = functools.partial(archive.place, cameras=cameras), functools.partial(check, archive, path)
     try:
         with progress(desc=f"unpacking {archive.name}", unit="B", unit_scale=True, leave=False, position=1) as bar:
-            unpacked = unpack(
-                path, root / archive.folder, lambda m: archive.place(m, cameras), bar, check=lambda folder: check(archive, path, folder)
-            )
+            facts = unpack(path, root / archive.folder, place, bar, check=look)
     except BadArchiveError as error:
         path.unlink()
         raise InputError(f"{error}; the archive is deleted, run again to get it anew") from None
     there = sorted((unpacked_cameras(archive, root) or set()) | set(cameras)) if archive.images else []
-    facts = {"archive": archive.address, "cameras": there, "files": unpacked.files, "bytes": unpacked.size}
-    write_json(root / archive.marker, facts | unpacked.found)
+    write_json(root / archive.marker, {"archive": archive.address, "cameras": there} | facts)
 
 
 def run_script(main: Callable[[], int]) -> NoReturn:

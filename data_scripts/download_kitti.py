@@ -41,59 +41,51 @@ Stop it at any time: the same command goes on from there. The data are for non-c
 """
 
 
-def arguments_of(argv: Sequence[str] | None) -> argparse.Namespace:
-    """Parse the command line."""
-    parser = argparse.ArgumentParser(
-        description="Download KITTI from its public home: resumable, verified, and only what is not there yet.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("drives", nargs="*", metavar="DRIVE", help="raw drives like 2011_09_26/2011_09_26_drive_0095_sync")
-    parser.add_argument("--root", required=True, type=Path, metavar="DIR", help="folder to fill, then given as KITTI_ROOT")
-    parser.add_argument("--profile", metavar="NAME", help="the raw drives and lists that a profile needs: sample, paper, or a .yaml file")
-    parser.add_argument("--odometry", action="store_true", help="the odometry sequences: colour images, calibration, poses (65 GB)")
-    parser.add_argument("--improved-depth", action="store_true", help="the improved ground truth, data_depth_annotated (14 GB)")
-    parser.add_argument("--lists-only", action="store_true", help="the field's lists of frames and nothing else")
-    parser.add_argument(
-        "--cameras", nargs="+", choices=CAMERAS, default=CAMERAS, metavar="CAMERA", help="unpack only these, such as image_02 image_03"
-    )
-    parser.add_argument("--keep-archives", action="store_true", help="keep the zip files, in DIR/archives; else each goes once unpacked")
-    arguments = parser.parse_args(argv)
-    if not (arguments.drives or arguments.profile or arguments.odometry or arguments.improved_depth or arguments.lists_only):
-        parser.error("nothing to download: name drives, or give --profile, --odometry, --improved-depth or --lists-only")
-    return arguments
-
-
 def main(argv: Sequence[str] | None = None, *, kitti_home: str = KITTI_HOME, lists_home: str = LISTS_HOME) -> int:
     """Run the command line; 0 when everything is there. Other homes than the public ones are for tests.
 
     Raises:
         SystemExit: code 2, after one line on stderr, for bad input, a failed download, a full disk.
     """
-    arguments = arguments_of(argv)
-    root, lists = arguments.root, arguments.root / "lists"
+    parser = argparse.ArgumentParser(
+        description="Download KITTI from its public home: resumable, verified, and only what is not there yet.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add("drives", nargs="*", metavar="DRIVE", help="raw drives like 2011_09_26/2011_09_26_drive_0095_sync")
+    add("--root", required=True, type=Path, metavar="DIR", help="folder to fill, then given as KITTI_ROOT")
+    add("--profile", metavar="NAME", help="the raw drives and lists that a profile needs: sample, paper, or a .yaml file")
+    add("--odometry", action="store_true", help="the odometry sequences: colour images, calibration, poses (65 GB)")
+    add("--improved-depth", action="store_true", help="the improved ground truth, data_depth_annotated (14 GB)")
+    add("--lists-only", action="store_true", help="the field's lists of frames and nothing else")
+    wanted = "unpack only these, such as image_02 image_03"
+    add("--cameras", nargs="+", choices=CAMERAS, default=CAMERAS, metavar="CAMERA", help=wanted)
+    add("--keep-archives", action="store_true", help="keep the zip files, in DIR/archives; else each goes once unpacked")
+    given = parser.parse_args(argv)
+    if not (given.drives or given.profile or given.odometry or given.improved_depth or given.lists_only):
+        parser.error("nothing to download: name drives, or give --profile, --odometry, --improved-depth or --lists-only")
+    root, lists, drives = given.root, given.root / "lists", list(given.drives)
     with exit_on_input_error():
-        drives = list(arguments.drives)
         drive_archives(drives)  # a misspelt name is told before anything is fetched
-        profile = load_profile(arguments.profile) if arguments.profile else None
+        profile = load_profile(given.profile) if given.profile else None
         check_writable(root)
         if profile:
             drives += profile_drives(profile, lists, lists_home)
-        if profile or arguments.lists_only:
+        if profile or given.lists_only:
             for name in LISTS:
                 named_list(name, lists, lists_home)
             print(f"{len(LISTS)} lists in {lists}")
-        if arguments.lists_only:
+        if given.lists_only:
             return 0
-        archives = drive_archives(drives) + (list(ODOMETRY) if arguments.odometry else [])
-        archives += [IMPROVED_DEPTH] if arguments.improved_depth else []
-        fetched = download(archives, root, kitti_home, cameras=arguments.cameras, keep_archives=arguments.keep_archives)
+        archives = drive_archives(drives) + list(ODOMETRY) * given.odometry + [IMPROVED_DEPTH] * given.improved_depth
+        fetched = download(archives, root, kitti_home, cameras=given.cameras, keep_archives=given.keep_archives)
         print(f"{len(archives)} archives unpacked, {fetched} of them now")
         if drives:
             print(f"KITTI_ROOT={root}")
-        if arguments.odometry:
+        if given.odometry:
             print(f"ODOMETRY_ROOT={root / 'odometry'}")
-        if arguments.improved_depth:
+        if given.improved_depth:
             print(f"improved ground truth: {root / 'depth_annotated'}")
     return 0
 

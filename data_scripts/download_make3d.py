@@ -50,13 +50,10 @@ def main(argv: Sequence[str] | None = None, *, home: str = MAKE3D_HOME) -> int:
     """Run the command line; 0 when everything is there. Another home than the public one is for tests.
 
     Raises:
-        SystemExit: code 2, after one line on stderr, for a failed download, a damaged archive, a full disk, or photos and grids that do not
-            fit together.
+        SystemExit: code 2, after one line on stderr, for a failed download, a damaged archive, a full disk, or photos without grids.
     """
-    parser = argparse.ArgumentParser(
-        description="Download Make3D's test set (134 photos, 134 laser grids, some 210 MB) from its public home: resumable, checked,"
-        " and only what is not there yet."
-    )
+    what = "Download Make3D's test set (134 photos, 134 laser grids, some 210 MB), checked, and only what is not there yet."
+    parser = argparse.ArgumentParser(description=what)
     parser.add_argument("--root", required=True, type=Path, metavar="DIR", help="folder to fill, then given as MAKE3D_ROOT")
     parser.add_argument("--keep-archives", action="store_true", help="keep the two archives, in DIR/archives; else each goes once unpacked")
     arguments = parser.parse_args(argv)

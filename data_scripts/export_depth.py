@@ -91,14 +91,8 @@ def main(argv: list[str] | None = None) -> int:
     with exit_on_input_error():
         if not (arguments.kitti or arguments.improved):
             raise InputError("give --kitti ROOT, the folder that holds 2011_09_26, 2011_09_28, …")
-        count = export_frames(
-            read_frame_list(arguments.list),
-            arguments.out,
-            kitti=arguments.kitti,
-            camera_z=arguments.camera_z,
-            improved=arguments.improved,
-            allow_missing=arguments.allow_missing,
-        )
+        options = vars(arguments)
+        count = export_frames(read_frame_list(options.pop("list")), **options)
         print(f"{arguments.out}: {count} depth maps")
     return 0
 

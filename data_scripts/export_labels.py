@@ -83,9 +83,8 @@ def check_classes(name: str, id2label: dict[int, str]) -> None:
     classes = tuple(str(id2label[i]) for i in sorted(id2label))
     if tuple(re.sub("[-_]", " ", c.lower()) for c in classes) != CITYSCAPES:
         shown = ", ".join(classes[: len(CITYSCAPES)]) + ", …" * (len(classes) > len(CITYSCAPES))
-        raise InputError(
-            f"{name}: has the {len(classes)} classes {shown}; needed are Cityscapes' {len(CITYSCAPES)} in order: {', '.join(CITYSCAPES)}"
-        )
+        needed = f"Cityscapes' {len(CITYSCAPES)} in order: {', '.join(CITYSCAPES)}"
+        raise InputError(f"{name}: has the {len(classes)} classes {shown}; needed are {needed}")
 
 
 def weights_digest(model: "torch.nn.Module") -> str:
@@ -100,15 +99,9 @@ def weights_digest(model: "torch.nn.Module") -> str:
 
 
 def segment(segmenter: Segmenter, images: Sequence[np.ndarray], size: Size = None) -> np.ndarray:
-    """Label maps of images of one size: the likeliest class after the logits were resized to the images' size bilinearly.
+    """Training ids (N, H, W) uint8 of N images (H, W, 3) uint8 of one size, which are resized to `size` (height, width) for the model.
 
-    Args:
-        segmenter: of `load_segmenter`.
-        images: (H, W, 3) uint8 each.
-        size: (height, width) that they are resized to for the model.
-
-    Returns:
-        (N, H, W) uint8, training ids.
+    They are the likeliest classes after the logits were resized to the images' size bilinearly.
 
     Raises:
         InputError: the model cannot take this size.
@@ -130,9 +123,8 @@ def segment(segmenter: Segmenter, images: Sequence[np.ndarray], size: Size = Non
     except torch.OutOfMemoryError:
         raise InputError(f"no memory for {len(images)} images of {height}x{width}; give a smaller --batch-size or --size") from None
     except (ValueError, RuntimeError) as error:
-        raise InputError(
-            f"{segmenter.facts['model']}: cannot take images of {height}x{width} ({_first_line(error)}); give its size with --size HxW"
-        ) from None
+        what = f"{segmenter.facts['model']}: cannot take images of {height}x{width} ({_first_line(error)})"
+        raise InputError(f"{what}; give its size with --size HxW") from None
     return resized.argmax(1).to(torch.uint8).cpu().numpy()
 
 
@@ -180,37 +172,6 @@ def check_maker(out: Path, facts: dict[str, Any]) -> None:
         raise InputError(f"{out}: holds label maps of another maker ({maker}); give another folder for --out")
 
 
-def export(
-    kitti: str | Path, frame_list: str | Path, out: str | Path, *, size: Size, batch_size: int, allow_missing: bool, **model: Any
-) -> tuple[int, int]:
-    """Write the label maps of `frame_list` below `out`; maps of the same model that are there stay.
-
-    Arguments are those of the command line; `model` are `load_segmenter`'s.
-
-    Returns:
-        The numbers of maps written and of those that were there.
-
-    Raises:
-        InputError: bad input, or a file cannot be written.
-    """
-    out = Path(out)
-    images = wanted_maps(kitti, frame_list, out, allow_missing)
-    segmenter = load_segmenter(**model)
-    facts = segmenter.facts | {"size": list(size) if size else "the images' own", "list_sha256": file_digest(Path(frame_list))}
-    check_maker(out, facts)
-    wanted = {path: image for path, image in images.items() if not path.is_file()}
-    maps = label_maps(segmenter, wanted, size, batch_size)
-    try:
-        for number, (path, labels) in enumerate(tqdm(maps, "label maps", len(wanted), unit="image", disable=None)):
-            if not number:
-                write_json(out / "labels.json", facts)
-            with atomic_path(path) as partial:
-                Image.fromarray(labels).save(partial)
-    except OSError as error:
-        raise InputError(f"{out}: cannot write the label maps ({error.strerror or error})") from None
-    return len(wanted), len(images) - len(wanted)
-
-
 def height_width(text: str) -> tuple[int, int]:
     """`384x1248` as (384, 1248)."""
     match = re.fullmatch(r"([1-9]\d*)x([1-9]\d*)", text)
@@ -226,25 +187,39 @@ def main(argv: list[str] | None = None) -> int:
         SystemExit: code 2, after one line on stderr, for bad input.
     """
     parser = argparse.ArgumentParser(description="Write Cityscapes label maps of KITTI raw images with a pretrained segmentation model.")
-    parser.add_argument("--kitti", required=True, metavar="ROOT", help="folder that holds 2011_09_26, 2011_09_28, …")
-    parser.add_argument(
-        "--list", dest="frame_list", required=True, metavar="FILE", help="lines like `2011_09_26/2011_09_26_drive_0052_sync 0000000000 l`"
-    )
-    parser.add_argument("--out", required=True, metavar="LABELS_ROOT", help="folder to write to")
-    parser.add_argument("--model", default=MODEL, help="hub name or local folder of a semantic-segmentation model (default: %(default)s)")
-    parser.add_argument("--revision", default="main", help="branch, tag or commit of the model on the hub (default: %(default)s)")
+    add = parser.add_argument
+    add("--kitti", required=True, metavar="ROOT", help="folder that holds 2011_09_26, 2011_09_28, …")
+    lines = "lines like `2011_09_26/2011_09_26_drive_0052_sync 0000000000 l`"
+    add("--list", dest="frame_list", required=True, metavar="FILE", help=lines)
+    add("--out", required=True, type=Path, metavar="LABELS_ROOT", help="folder to write to")
+    add("--model", default=MODEL, help="hub name or local folder of a semantic-segmentation model (default: %(default)s)")
+    add("--revision", default="main", help="branch, tag or commit of the model on the hub (default: %(default)s)")
     size = "resize images for the model (default: their own size, so that nothing is stretched)"
-    parser.add_argument("--size", type=height_width, metavar="HxW", help=size)
-    parser.add_argument("--device", help="cpu, cuda, cuda:1, … (default: cuda where there is one)")
-    parser.add_argument("--batch-size", type=int, default=4, metavar="N", help="images at once (default: %(default)s)")
-    parser.add_argument("--allow-missing", action="store_true", help="leave out frames whose image is missing; else they are an error")
-    parser.add_argument("--allow-pickle", action="store_true", help="read weights that are no safetensors; only from a source you trust")
-    arguments = parser.parse_args(argv)
+    add("--size", type=height_width, metavar="HxW", help=size)
+    add("--device", help="cpu, cuda, cuda:1, … (default: cuda where there is one)")
+    add("--batch-size", type=int, default=4, metavar="N", help="images at once (default: %(default)s)")
+    add("--allow-missing", action="store_true", help="leave out frames whose image is missing; else they are an error")
+    add("--allow-pickle", action="store_true", help="read weights that are no safetensors; only from a source you trust")
+    given = parser.parse_args(argv)
     with exit_on_input_error():
-        if arguments.batch_size < 1:
-            raise InputError(f"--batch-size {arguments.batch_size}: must be 1 or more")
-        written, there = export(**vars(arguments))
-        print(f"{arguments.out}: {written} label maps written" + f", {there} were there" * bool(there))
+        if given.batch_size < 1:
+            raise InputError(f"--batch-size {given.batch_size}: must be 1 or more")
+        images = wanted_maps(given.kitti, given.frame_list, given.out, given.allow_missing)
+        segmenter = load_segmenter(given.model, revision=given.revision, device=given.device, allow_pickle=given.allow_pickle)
+        size = list(given.size) if given.size else "the images' own"
+        check_maker(given.out, facts := segmenter.facts | {"size": size, "list_sha256": file_digest(Path(given.frame_list))})
+        wanted = {path: image for path, image in images.items() if not path.is_file()}  # maps of the same model that are there stay
+        maps = label_maps(segmenter, wanted, given.size, given.batch_size)
+        try:
+            for number, (path, labels) in enumerate(tqdm(maps, "label maps", len(wanted), unit="image", disable=None)):
+                if not number:
+                    write_json(given.out / "labels.json", facts)
+                with atomic_path(path) as partial:
+                    Image.fromarray(labels).save(partial)
+        except OSError as error:
+            raise InputError(f"{given.out}: cannot write the label maps ({error.strerror or error})") from None
+        there = len(images) - len(wanted)
+        print(f"{given.out}: {len(wanted)} label maps written" + f", {there} were there" * bool(there))
     return 0
 
 

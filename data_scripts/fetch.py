@@ -16,7 +16,7 @@ import urllib.parse
 import urllib.request
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import Any
 
 from tqdm import tqdm
 
@@ -32,16 +32,6 @@ PAUSES = (1.0, 2.0, 5.0, 10.0, 30.0)
 BROKEN = (urllib.error.URLError, ConnectionError, TimeoutError, http.client.HTTPException)
 IF_OFFLINE = "if you have KITTI, give KITTI_ROOT"
 
-Result = TypeVar("Result")
-
-
-class NotThereError(InputError):
-    """The server has no such file."""
-
-
-class ChecksumError(InputError):
-    """A file's bytes are not those that were published."""
-
 
 class _NoRedirect(urllib.request.HTTPRedirectHandler):
     def redirect_request(self, req, fp, code, msg, headers, newurl):
@@ -55,11 +45,8 @@ def remote_size(address: str, if_offline: str = IF_OFFLINE) -> int:
         InputError: no network, no such file, or a server that does not say.
     """
 
-    def ask() -> str | None:
-        with _open(address, method="HEAD") as response:
-            return response.headers["Content-Length"]
-
-    size = _with_retries(ask, address, if_offline)
+    with _with_retries(lambda: _open(address, method="HEAD"), address, if_offline) as response:
+        size = response.headers["Content-Length"]
     if size is None:
         raise InputError(f"{address}: the server does not say how large the file is; try again later")
     return int(size)
@@ -78,26 +65,25 @@ def fetch(address: str, path: str | Path, *, digest: str | None = None, bar: tqd
     """
     path = Path(path)
     if path.exists():
-        _verify(path, digest, f"it differs from {address}; delete it to have it downloaded again")
+        if wrong := _wrong_checksum(path, digest):
+            raise InputError(f"{path}: {wrong}; it differs from {address}; delete it to have it downloaded again")
         return path
     partial, mark = path.with_name(f"{path.name}.part"), path.with_name(f"{path.name}.part.etag")
     try:
         _with_retries(lambda: _transfer(address, partial, mark, bar), address, if_offline, lambda: part_size(path))
-        _verify(partial, digest, "the download is deleted; run again")
+        if wrong := _wrong_checksum(partial, digest):
+            _discard(partial, mark, bar)
+            raise InputError(f"{partial}: {wrong}; the download is deleted; run again")
         partial.replace(path)
-    except ChecksumError:
-        _discard(partial, mark, bar)
-        raise
+        mark.unlink(missing_ok=True)
     except OSError as error:
         raise disk_error(path, error) from None
-    mark.unlink(missing_ok=True)
     return path
 
 
 def part_size(path: Path) -> int:
     """Bytes of `path` that are on disk already, whole or in part."""
-    there = [file for file in (path, path.with_name(f"{path.name}.part")) if file.exists()]
-    return there[0].stat().st_size if there else 0
+    return next((file.stat().st_size for file in (path, path.with_name(f"{path.name}.part")) if file.exists()), 0)
 
 
 def require_space(folder: Path, needed: float, what: str) -> None:
@@ -106,14 +92,11 @@ def require_space(folder: Path, needed: float, what: str) -> None:
     Raises:
         InputError: it has not; the message names what is missing.
     """
-    while not folder.exists():
-        folder = folder.parent
+    folder = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     free = shutil.disk_usage(folder).free
     if needed > free:
-        raise InputError(
-            f"{folder}: {what} needs {gigabytes(needed)} of disk and {gigabytes(free)} are free: "
-            f"{gigabytes(needed - free)} missing; free some, or choose another folder or fewer drives"
-        )
+        sizes = f"{gigabytes(needed)} of disk and {gigabytes(free)} are free: {gigabytes(needed - free)} missing"
+        raise InputError(f"{folder}: {what} needs {sizes}; free some, or choose another folder or fewer drives")
 
 
 def gigabytes(size: float) -> str:
@@ -128,14 +111,14 @@ def disk_error(path: Path, error: OSError) -> InputError:
     return InputError(f"{path}: cannot be written ({error.strerror or error})")
 
 
-def _verify(path: Path, digest: str | None, mend: str) -> None:
+def _wrong_checksum(path: Path, digest: str | None) -> str | None:
+    """What is wrong with the file's checksum; None: nothing, or none is known."""
     if digest is None:
-        return
+        return None
     method, expected = digest.split(":")
     with open(path, "rb") as file:
         found = hashlib.file_digest(file, method).hexdigest()
-    if found != expected:
-        raise ChecksumError(f"{path}: wrong checksum, {method} is {found[:16]}… and not {expected[:16]}…; {mend}")
+    return None if found == expected else f"wrong checksum, {method} is {found[:16]}… and not {expected[:16]}…"
 
 
 def _open(address: str, headers: dict[str, str] | None = None, method: str = "GET") -> http.client.HTTPResponse:
@@ -150,7 +133,7 @@ def _open(address: str, headers: dict[str, str] | None = None, method: str = "GE
     except urllib.error.HTTPError as error:
         error.close()
         if error.code in (403, 404, 410):  # Amazon's storage answers 403 for a file that does not exist
-            raise NotThereError(f"{address}: not there (HTTP {error.code}); check the name") from None
+            raise InputError(f"{address}: not there (HTTP {error.code}); check the name") from None
         if error.code in (416, 429) or error.code >= 500:
             raise
         raise InputError(f"{address}: the server refuses (HTTP {error.code} {error.reason})") from None
@@ -213,30 +196,29 @@ def _version(response: http.client.HTTPResponse) -> str:
     return etag if etag and not etag.startswith("W/") else (response.headers["Last-Modified"] or "")
 
 
-def _with_retries(action: Callable[[], Result], address: str, if_offline: str, progress: Callable[[], int] = lambda: 0) -> Result:
+def _with_retries(action: Callable[[], Any], address: str, if_offline: str, progress: Callable[[], int] = lambda: 0) -> Any:
     """The result of `action`, tried again with growing pauses while connections break; bytes that came reset the count.
 
     Raises:
         InputError: it breaks too often, or cannot be mended by waiting.
     """
-    failures, before = 0, progress()
+    failures, before, host = 0, progress(), urllib.parse.urlsplit(address).netloc
     while True:
         try:
             return action()
         except BROKEN as error:
             failures, before = 1 if progress() > before else failures + 1, progress()
-            reason, host = getattr(error, "reason", error), urllib.parse.urlsplit(address).netloc
-            patience = len(PAUSES)
+            reason, patience = getattr(error, "reason", error), len(PAUSES)
             if isinstance(reason, ssl.SSLCertVerificationError):
                 patience = 0
             elif isinstance(reason, socket.gaierror) and not before:
                 patience = 1  # without a network at all nobody wants to wait
-            if failures <= patience:
-                time.sleep(PAUSES[failures - 1])
-            elif isinstance(error, urllib.error.HTTPError):
-                raise InputError(f"{address}: the server fails (HTTP {error.code}); try again later") from None
-            elif isinstance(error, urllib.error.URLError):
-                raise InputError(f"no network: {host} cannot be reached ({reason}); {if_offline}") from None
-            else:
-                mend = f"run again, it goes on after {gigabytes(before)}"
-                raise InputError(f"{address}: the connection keeps breaking ({error}); {mend}") from None
+            if failures > patience:
+                if isinstance(error, urllib.error.HTTPError):
+                    said = f"{address}: the server fails (HTTP {error.code}); try again later"
+                elif isinstance(error, urllib.error.URLError):
+                    said = f"no network: {host} cannot be reached ({reason}); {if_offline}"
+                else:
+                    said = f"{address}: the connection keeps breaking ({error}); run again, it goes on after {gigabytes(before)}"
+                raise InputError(said) from None
+            time.sleep(PAUSES[failures - 1])

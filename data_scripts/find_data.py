@@ -35,9 +35,8 @@ def find_data(
         given = [name.upper() for name, value in {"kitti_root": kitti_root, "test_list": test_list, **others}.items() if value]
         if given:
             raise InputError(f"profile {run.profile.name} makes its own data: {' and '.join(given)} belong to sample, paper or your own")
-        root = run.work / "miniature"
-        make_miniature.make_world(run.profile.world, root)
-        sources = world_sources(root)
+        make_miniature.make_world(run.profile.world, run.work / "miniature")
+        sources = world_sources(run.work / "miniature")
     else:
         sources = kitti_sources(run, kitti_root, test_list) if run.profile.data.has_truth else own_sources(run, kitti_root, test_list)
         check_roots(others)
@@ -50,11 +49,10 @@ def find_data(
 def world_sources(root: Path) -> Sources:
     """Sources of a synthetic world."""
     lists = root / "lists"
-    drives = tuple((lists / "train_drives.txt").read_text(encoding="utf-8").split())
     return Sources(
         kitti_root=root / "kitti_raw",
         test_list=lists / "test_files.txt",
-        train_drives=drives,
+        train_drives=tuple((lists / "train_drives.txt").read_text(encoding="utf-8").split()),
         static_frames=lists / "static_frames.txt",
         test_scenes=lists / "test_scenes.txt",
         odometry_root=root / "kitti_odometry",
@@ -78,17 +76,12 @@ def own_sources(run: Run, root: str, test_list: str) -> Sources:
     camera, (height, width) = record["camera"], data.hr_size
     squeezed = camera["width"] / camera["height"] * height / width
     if not 1 / MOST_SQUEEZED < squeezed < MOST_SQUEEZED:
-        raise InputError(
-            f"profile {run.profile.name}: hr_size {height}x{width} squeezes frames of {camera['width']}×{camera['height']}; give"
-            f" PROFILE={next(iter(sorted(Path(root).glob('*.yaml'))), 'own.yaml')}, which was written for them, or another hr_size"
-        )
-    lists = Path(root).resolve() / "lists"
-    drives = [line for _, line in numbered_lines(lists / "train_drives.txt")]
-    return Sources(
-        kitti_root=check_root(root).resolve(),
-        test_list=Path(test_list).resolve() if test_list else lists / "test_files.txt",
-        train_drives=tuple(drives),
-    )
+        what = f"hr_size {height}x{width} squeezes frames of {camera['width']}×{camera['height']}"
+        fits = next(iter(sorted(Path(root).glob("*.yaml"))), "own.yaml")
+        raise InputError(f"profile {run.profile.name}: {what}; give PROFILE={fits}, which was written for them, or another hr_size")
+    kitti_root = check_root(root).resolve()
+    drives = tuple(line for _, line in numbered_lines(kitti_root / "lists/train_drives.txt"))
+    return Sources(kitti_root, Path(test_list).resolve() if test_list else kitti_root / "lists/test_files.txt", train_drives=drives)
 
 
 def kitti_sources(run: Run, kitti_root: str, test_list: str) -> Sources:
@@ -98,10 +91,9 @@ def kitti_sources(run: Run, kitti_root: str, test_list: str) -> Sources:
     def listed(name: str | None) -> Path | None:
         return named_list(name, home / "lists") if name else None
 
-    if not (test_list or data.test_list):
+    if not (named := test_list or data.test_list):
         raise InputError(f"profile {run.profile.name} names no frames to score: give data.test_list or TEST_LIST")
-    named = Path(test_list or data.test_list)
-    scored = named if test_list or named.is_file() else named_list(data.test_list, home / "lists")
+    scored = Path(named) if test_list or Path(named).is_file() else named_list(named, home / "lists")
     train_list = listed(f"{data.train_list}_train" if data.train_list else None)
     if not kitti_root:
         needed = {frame.drive for path in (scored, train_list) if path for frame in read_frame_list(path)}

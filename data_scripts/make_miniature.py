@@ -23,35 +23,13 @@ from tqdm import tqdm
 from data_scripts.miniature.frames import write_shot
 from data_scripts.miniature.plan import folders, plan_world
 from dualdepth.errors import InputError, exit_on_input_error
-from dualdepth.files import write_json
+from dualdepth.files import locked, write_json
 from dualdepth.profile import load_profile
 from dualdepth.settings import World
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 STAMP = "world.json"
 """Written last; says which settings and sources a folder was made from."""
-
-
-def make_miniature(profile: str, out: str | Path | None = None, progress: bool = True) -> Path:
-    """Make the world of a profile, unless it is there.
-
-    Args:
-        profile: name or YAML file.
-        out: folder to write; None for `work/<profile>/miniature` of the repository.
-        progress: whether to show a progress bar.
-
-    Returns:
-        The folder.
-
-    Raises:
-        InputError: the profile has no section `world`, or `out` holds something else.
-    """
-    settings = load_profile(profile)
-    if settings.world is None:
-        raise InputError(f"profile {profile}: has no section `world`; choose tiny or miniature")
-    out = Path(out) if out else REPOSITORY / "work" / settings.name / "miniature"
-    make_world(settings.world, out, progress)
-    return out
 
 
 def make_world(world: World, out: str | Path, progress: bool = True, processes: int | None = None) -> bool:
@@ -67,31 +45,32 @@ def make_world(world: World, out: str | Path, progress: bool = True, processes: 
         Whether it had to be made.
 
     Raises:
-        InputError: `out` is a file, or a folder that holds something else than a world.
+        InputError: `out` is a file, a folder that holds something else than a world, or one that another process is making.
     """
     out = Path(out).absolute()
     stamp = {"digest": world_digest(world), "settings": world.model_dump(mode="json")}
-    if out.exists() and not (out.is_dir() and ((out / STAMP).is_file() or not any(out.iterdir()))):
-        raise InputError(f"{out}: is there and is no world that this script made; give another --out or remove it")
-    if _made(out) == stamp["digest"]:
-        print(f"the world is there already, in {out.name}")
-        return False
-    out.parent.mkdir(parents=True, exist_ok=True)
-    _remove_remains(out)
-    partial = out.with_name(f".{out.name}.{os.getpid()}.part")
-    try:
-        work = plan_world(world, partial)
-        for folder in folders(work):
-            folder.mkdir(parents=True, exist_ok=True)
-        for name, text in work.texts.items():
-            (partial / name).write_text(text, encoding="utf-8")
-        _render(work.shots, progress, processes or _cores())
-        write_json(partial / STAMP, stamp)
-        if out.exists():
-            shutil.rmtree(out)
-        os.replace(partial, out)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+    partial = out.with_name(f".{out.name}.part")
+    with locked(out.with_name(f".{out.name}.lock")):
+        if out.exists() and not (out.is_dir() and ((out / STAMP).is_file() or not any(out.iterdir()))):
+            raise InputError(f"{out}: is there and is no world that this script made; give another --out or remove it")
+        if (out / STAMP).is_file() and stamp["digest"].encode() in (out / STAMP).read_bytes():
+            print(f"the world is there already, in {out.name}")
+            return False
+        shutil.rmtree(partial, ignore_errors=True)  # of a killed run
+        try:
+            work = plan_world(world, partial)
+            for folder in folders(work):
+                folder.mkdir(parents=True, exist_ok=True)
+            for name, text in work.texts.items():
+                (partial / name).write_text(text, encoding="utf-8")
+            cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+            _render(work.shots, progress, processes or cores)
+            write_json(partial / STAMP, stamp)
+            if out.exists():
+                shutil.rmtree(out)
+            os.replace(partial, out)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
     return True
 
 
@@ -101,30 +80,6 @@ def world_digest(world: World) -> str:
     for source in (Path(__file__), *sorted((Path(__file__).parent / "miniature").glob("*.py"))):
         digest.update(source.read_bytes())
     return digest.hexdigest()
-
-
-def _cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _made(out: Path) -> str | None:
-    """Digest of the world in a folder, None where there is none."""
-    try:
-        return json.loads((out / STAMP).read_text(encoding="utf-8"))["digest"]
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
-
-
-def _remove_remains(out: Path) -> None:
-    """Remove what killed runs left beside `out`; their process number is in the name."""
-    for remains in out.parent.glob(f".{out.name}.*.part"):
-        try:
-            os.kill(int(remains.name.split(".")[-2]), 0)
-        except ProcessLookupError:
-            shutil.rmtree(remains)
-        except (ValueError, PermissionError):
-            continue
 
 
 def _render(shots: list, progress: bool, processes: int) -> None:
@@ -146,9 +101,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--profile", default="tiny", help="profile with a section `world`: tiny, miniature, or a YAML file")
     parser.add_argument("--out", type=Path, help="folder to write (default: work/<profile>/miniature)")
-    parsed = parser.parse_args(arguments)
+    given = parser.parse_args(arguments)
     with exit_on_input_error():
-        print(f"world: {make_miniature(parsed.profile, parsed.out)}")
+        settings = load_profile(given.profile)
+        if settings.world is None:
+            raise InputError(f"profile {given.profile}: has no section `world`; choose tiny or miniature")
+        out = given.out or REPOSITORY / "work" / settings.name / "miniature"
+        make_world(settings.world, out)
+        print(f"world: {out}")
     return 0
 
 

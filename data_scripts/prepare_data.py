@@ -40,15 +40,13 @@ from dualdepth.run import RECORD, ROOTS, Run, Sources, add_roots
 
 
 class Prepared(NamedTuple):
-    """What `prepare` wrote, counted."""
+    """What `prepare` wrote, counted; `baseline` are laser frames of training drives, 0: each scored drive is predicted from the others."""
 
     triplets: int
     scored: int
     listed: int
     baseline: int
-    """Training-side laser frames for the baselines; 0: each scored drive is predicted from the others."""
-    odometry: int = 0
-    """Triplets of odometry sequences."""
+    odometry: int
 
 
 def prepare(run: Run) -> Prepared:
@@ -64,14 +62,21 @@ def prepare(run: Run) -> Prepared:
     sources = Sources.load(run)
     root, targets = sources.kitti_root, training_targets(run, sources)
     scored, listed = test_frames(run, sources)
-    check_labels(sources, scored)
+    labels = [path for frame in scored if sources.labels_root and not (path := label_path(sources.labels_root, frame)).is_file()]
+    if labels:
+        others = f"nor have {len(labels) - 1} other scored frames; make them with data_scripts/export_labels.py"
+        raise InputError(f"{labels[0]}: no label map, {others}")
     check_separate({f.drive for f in targets}, {f.drive for f in scored}, "drives", sources.allow_leak)
     sequences = odometry_sequences(run, sources)
     triplets = [triplet_paths(root, target, suffix) for target, suffix in with_suffix(root, targets)]
     films = [path for entry in sequences for path in frame_files(sources.odometry_root, entry).values()]
     shown = [path for frame in scored if (path := image_path(root, frame))]
     broken = broken_frames([*itertools.chain(*triplets), *films], shown)
-    tell_broken(broken, shown)
+    named = "; ".join(broken.values())
+    if to_score := len(broken.keys() & set(shown)):
+        raise InputError(f"{to_score} frames to score are broken, and {len(broken) - to_score} others: {named}")
+    if broken:
+        print(f"{len(broken)} frames are broken and left out with their triplets: {named}")
     whole = [target for target, paths in zip(targets, triplets) if broken.keys().isdisjoint(paths)]
     if not whole:
         raise InputError(f"{root}: all {len(targets)} triplets have broken frames; copy or download them again")
@@ -80,8 +85,8 @@ def prepare(run: Run) -> Prepared:
     write_identity(run, sources, whole)
     if run.profile.data.has_truth:
         export_frames(scored, run.prepared / "ground_truth.npz", kitti=root)
-    else:
-        write_no_truth(run, shown)
+    else:  # of an own camera: nothing was measured (0)
+        save_ground_truth(run.prepared / "ground_truth.npz", (np.zeros(read_image(path).shape[:2], np.float32) for path in shown))
     (run.prepared / "baseline_truth.npz").unlink(missing_ok=True)
     if fitted:
         export_frames(fitted, run.prepared / "baseline_truth.npz", kitti=root)
@@ -116,19 +121,6 @@ def broken_frames(trained: Sequence[Path], scored: Sequence[Path]) -> dict[Path,
         words = f"pixels, most of its folder {usual[1]}×{usual[0]}; put one camera's frames in a folder"
         broken |= {path: f"{path}: has {size[1]}×{size[0]} {words}" for path, size in sizes.items() if size != usual}
     return broken
-
-
-def tell_broken(broken: dict[Path, str], scored: Sequence[Path]) -> None:
-    """Say which frames are broken, all in one message.
-
-    Raises:
-        InputError: one of them is to be scored.
-    """
-    named = "; ".join(broken.values())
-    if to_score := len(broken.keys() & set(scored)):
-        raise InputError(f"{to_score} frames to score are broken, and {len(broken) - to_score} others: {named}")
-    if broken:
-        print(f"{len(broken)} frames are broken and left out with their triplets: {named}")
 
 
 def training_targets(run: Run, sources: Sources) -> list[Frame]:
@@ -183,11 +175,6 @@ def write_identity(run: Run, sources: Sources, targets: Sequence[Frame]) -> Path
     return path
 
 
-def write_no_truth(run: Run, images: Iterable[Path]) -> None:
-    """Write `prepared/ground_truth.npz` of an own camera: maps of the images' sizes without a measurement (0) in them."""
-    save_ground_truth(run.prepared / "ground_truth.npz", (np.zeros(read_image(path).shape[:2], np.float32) for path in images))
-
-
 def odometry_sequences(run: Run, sources: Sources) -> list[str]:
     """Odometry sequences to train on; none where there are no such variants or frames.
 
@@ -205,20 +192,6 @@ def odometry_sequences(run: Run, sources: Sources) -> list[str]:
     return train
 
 
-def check_labels(sources: Sources, scored: Sequence[Frame]) -> None:
-    """Make sure that every scored frame has a label map, where there are label maps.
-
-    Raises:
-        InputError: some have none; the first is named.
-    """
-    root = sources.labels_root
-    missing = [path for frame in scored if root and not (path := label_path(root, frame)).is_file()]
-    if missing:
-        raise InputError(
-            f"{missing[0]}: no label map, nor have {len(missing) - 1} other scored frames; make them with data_scripts/export_labels.py"
-        )
-
-
 def check_separate(train: Iterable[str], test: Iterable[str], what: str, allow_leak: bool) -> None:
     """Refuse to score drives or sequences that are trained on, unless it is allowed.
 
@@ -227,10 +200,8 @@ def check_separate(train: Iterable[str], test: Iterable[str], what: str, allow_l
     """
     shared = sorted(set(train) & set(test))
     if shared and not allow_leak:
-        raise InputError(
-            f"{what} {', '.join(shared)} are both trained on and scored: take them out of the training or of the test list,"
-            " or give --allow-leak (make reproduce ALLOW_LEAK=1), which marks the results"
-        )
+        mend = "take them out of one, or give --allow-leak (make reproduce ALLOW_LEAK=1), which marks the results"
+        raise InputError(f"{what} {', '.join(shared)} are both trained on and scored: {mend}")
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -6,14 +6,14 @@ Make3D: A. Saxena, M. Sun, A. Y. Ng, "Make3D: Learning 3D Scene Structure from a
 (make3d.cs.cornell.edu/data.html).
 """
 
-import contextlib
 import fnmatch
+import itertools
 import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from data_scripts.fetch import NotThereError, fetch
+from data_scripts.fetch import fetch
 from dualdepth.data.kitti import read_frame_list
 from dualdepth.errors import InputError
 from dualdepth.files import write_text
@@ -25,33 +25,31 @@ LISTS_HOME = "https://raw.githubusercontent.com/"
 CAMERAS = ("image_00", "image_01", "image_02", "image_03")
 DATES = ("2011_09_26", "2011_09_28", "2011_09_29", "2011_09_30", "2011_10_03")
 
-MONODEPTH2 = ("nianticlabs/monodepth2/b676244e5a1ca55564eb5d16ab521a48f823af31/splits",)
-# Two revisions of the same files: the second steps in should the server not resolve the first's short name.
-SFMLEARNER = ("tinghuiz/SfMLearner/65f71f10/data/kitti", "tinghuiz/SfMLearner/2a387b763bc2b6f95b095f929bf751797c9db68a/data/kitti")
+MONODEPTH2 = "nianticlabs/monodepth2/b676244e5a1ca55564eb5d16ab521a48f823af31/splits"
+SFMLEARNER = "tinghuiz/SfMLearner/2a387b763bc2b6f95b095f929bf751797c9db68a/data/kitti"
 
 
 class FieldList(NamedTuple):
-    """A list that the field's papers share: where it is, and the sha256 of its bytes."""
+    """A list that the field's papers share: its path below `LISTS_HOME`, and the sha256 of its bytes."""
 
-    homes: tuple[str, ...]
     path: str
     sha256: str
 
 
 LISTS = {
-    "eigen_test": FieldList(MONODEPTH2, "eigen/test_files.txt", "e226d4ca16e0e6e9695435014347dcf973588531330536fd8a68d298ef091a6b"),
+    "eigen_test": FieldList(f"{MONODEPTH2}/eigen/test_files.txt", "e226d4ca16e0e6e9695435014347dcf973588531330536fd8a68d298ef091a6b"),
     "eigen_zhou_train": FieldList(
-        MONODEPTH2, "eigen_zhou/train_files.txt", "00173a231642151c4693274e701ddd4cae7916520a757c7a94eae8e1173f7b0c"
+        f"{MONODEPTH2}/eigen_zhou/train_files.txt", "00173a231642151c4693274e701ddd4cae7916520a757c7a94eae8e1173f7b0c"
     ),
-    "eigen_zhou_val": FieldList(MONODEPTH2, "eigen_zhou/val_files.txt", "64a868b8d2c66c3979a2d74c22ea2e9146850d5b9f5786ed8e5f92201ba1ad04"),
+    "eigen_zhou_val": FieldList(
+        f"{MONODEPTH2}/eigen_zhou/val_files.txt", "64a868b8d2c66c3979a2d74c22ea2e9146850d5b9f5786ed8e5f92201ba1ad04"
+    ),
     "eigen_improved": FieldList(
-        MONODEPTH2, "eigen_benchmark/test_files.txt", "d56e5e509e6960a01fb93795f85028ac6e4a82ad40e64b6e968988e4db95b9be"
+        f"{MONODEPTH2}/eigen_benchmark/test_files.txt", "d56e5e509e6960a01fb93795f85028ac6e4a82ad40e64b6e968988e4db95b9be"
     ),
-    "static_frames": FieldList(SFMLEARNER, "static_frames.txt", "268ef2acb91035acca2db9631d23af5a4c1a9a95af31c9099a000fba82c88e11"),
-    "test_scenes": FieldList(SFMLEARNER, "test_scenes_eigen.txt", "df2563d0d3482ab6da413cdc4471b04938970a5317f6bd843b9280a81d437981"),
+    "static_frames": FieldList(f"{SFMLEARNER}/static_frames.txt", "268ef2acb91035acca2db9631d23af5a4c1a9a95af31c9099a000fba82c88e11"),
+    "test_scenes": FieldList(f"{SFMLEARNER}/test_scenes_eigen.txt", "df2563d0d3482ab6da413cdc4471b04938970a5317f6bd843b9280a81d437981"),
 }
-
-
 DERIVED = {"sample_test": ("eigen_test", ("2011_09_26_drive_0052_sync", "2011_09_26_drive_0013_sync"))}
 """Lists that are the lines of another one from some drives: `sample` scores the Eigen frames of the two smallest suitable drives."""
 
@@ -75,13 +73,8 @@ def named_list(name: str, cache_dir: str | Path, home: str = LISTS_HOME) -> Path
         return path
     if name not in LISTS:
         raise InputError(f"list {name!r} is not known; choose one of {', '.join([*LISTS, *DERIVED])} or give the path of a file")
-    entry = LISTS[name]
-    *others, last = (f"{home}{revision}/{entry.path}" for revision in entry.homes)
-    settings = {"digest": f"sha256:{entry.sha256}", "if_offline": f"else put the list at {path} yourself"}
-    for address in others:
-        with contextlib.suppress(NotThereError):
-            return fetch(address, path, **settings)
-    return fetch(last, path, **settings)
+    mend = f"else put the list at {path} yourself"
+    return fetch(home + LISTS[name].path, path, digest=f"sha256:{LISTS[name].sha256}", if_offline=mend)
 
 
 class Archive(NamedTuple):
@@ -151,10 +144,8 @@ def drive_archives(drives: Sequence[str]) -> list[Archive]:
             raise InputError(f"drive {drive!r}: expected a name like 2011_09_26/2011_09_26_drive_0095_sync, of {', '.join(DATES)}")
         names.add(match[2])
     archives = []
-    for date in DATES:
-        of_day = sorted(name for name in names if name.startswith(date))
-        if of_day:
-            archives.append(Archive(f"raw_data/{date}_calib.zip", f"{date}/.calib.complete.json"))
+    for date, of_day in itertools.groupby(sorted(names), key=lambda name: name[:10]):
+        archives.append(Archive(f"raw_data/{date}_calib.zip", f"{date}/.calib.complete.json"))
         archives += [Archive(f"raw_data/{name}/{name}_sync.zip", f"{date}/{name}_sync/.complete.json", images=True) for name in of_day]
     return archives
 
@@ -162,7 +153,7 @@ def drive_archives(drives: Sequence[str]) -> list[Archive]:
 def profile_drives(profile: Profile, cache_dir: str | Path, home: str = LISTS_HOME) -> list[str]:
     """The raw drives that a profile trains and is scored on: its own, and those that its lists mention.
 
-    Drives that only the lists of static frames or test scenes name are not needed: those lists just take frames away.
+    The lists of static frames and test scenes only take frames away.
 
     Raises:
         InputError: the profile makes its own data, or a list cannot be had.

@@ -8,7 +8,7 @@ import sys
 import tempfile
 import time
 import timeit
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -33,14 +33,11 @@ from dualdepth.profile import load_profile
 from dualdepth.settings import Training
 from dualdepth.training.stages import Stage
 
-RAW_SIZE = (375, 1242)
-"""KITTI's frames, (height, width)."""
-
 
 def write_frames(folder: Path) -> Triplet:
     """Three JPEG frames of KITTI's size (quality 92, as the field stores them): a smooth scene with noise, hard enough to decode."""
     rng = np.random.default_rng(0)
-    scene = cv2.resize(rng.integers(0, 255, (47, 156, 3), np.uint8), RAW_SIZE[::-1], interpolation=cv2.INTER_CUBIC)
+    scene = cv2.resize(rng.integers(0, 255, (47, 156, 3), np.uint8), (1242, 375), interpolation=cv2.INTER_CUBIC)
     paths = []
     for number in range(3):
         frame = np.roll(scene, 4 * number, axis=1).astype(np.int16) + rng.integers(-12, 12, scene.shape)
@@ -54,65 +51,46 @@ def make_net(name: str) -> nn.Module:
     return (Architecture(network="dual", encoder="resnet50") if name == "dual" else Architecture(network="single", encoder=name)).build()
 
 
-def make_stage(name: str, training: Training) -> Stage:
-    """A stage with new weights: `lr` with the settings' encoder, or stage 2 of a network for high resolution."""
-    low = name == "lr"
-    return Stage(LRNet(training.encoder) if low else make_net(name), PoseNet(), training, low=low)
+def median_step(name: str, training: Training, batch: dict[str, Any], device: torch.device, repeats: int) -> dict[str, float]:
+    """Times a training step with new weights: of stage 1 (`lr`), or of stage 2 of a network for high resolution (`make_net`).
 
+    Returns:
+        Median seconds of the whole (`step`) and of its parts (`networks`, `losses`, `backward`, `optimiser`), and `peak_mb`: the GPU's
+        peak in 10⁶ bytes, or the process's, which should then be a fresh one.
+    """
+    keep_freed_memory()  # as a training does
+    torch.manual_seed(0)
+    depth_net = LRNet(training.encoder) if name == "lr" else make_net(name)
+    stage = Stage(depth_net, PoseNet(), training, low=name == "lr").to(device).train()
+    if training.channels_last:
+        stage = stage.to(memory_format=torch.channels_last)
+    optimizer = torch.optim.Adam([p for p in stage.parameters() if p.requires_grad], 1e-4)
+    marks: list[float] = []
 
-class StepTimer:
-    """Times the parts of a training step of a stage: networks, losses, backward, optimiser."""
-
-    def __init__(self, name: str, training: Training, device: torch.device) -> None:
-        keep_freed_memory()  # as a training does
-        torch.manual_seed(0)
-        self.stage = make_stage(name, training).to(device)
-        if training.channels_last:
-            self.stage = self.stage.to(memory_format=torch.channels_last)
-        self.stage.train()
-        self.optimizer = torch.optim.Adam([p for p in self.stage.parameters() if p.requires_grad], 1e-4)
-        self.device, self.bf16 = device, training.precision == "bf16"
-        self.networks = 0.0
-        for net in (self.stage.depth_net, self.stage.pose_net):
-            net.register_forward_pre_hook(lambda *_: self._mark(-1))
-            net.register_forward_hook(lambda *_: self._mark(1))
-
-    def _now(self) -> float:
-        if self.device.type == "cuda":
+    def now() -> float:
+        if device.type == "cuda":
             torch.cuda.synchronize()
         return time.perf_counter()
 
-    def _mark(self, sign: int) -> None:
-        self.networks += sign * self._now()
-
-    def step(self, batch: dict[str, Any]) -> dict[str, float]:
-        """Seconds of one step by part."""
-        self.networks = 0.0
-        began = self._now()
-        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.bf16):
-            output = self.stage(batch)
-        forward = self._now()
-        self.optimizer.zero_grad()
+    for net in (stage.depth_net, stage.pose_net):
+        net.register_forward_pre_hook(lambda *_: marks.append(-now()))
+        net.register_forward_hook(lambda *_: marks.append(now()))
+    rows = []
+    for _ in range(2 + repeats):
+        marks.clear()
+        began = now()
+        with torch.autocast(device.type, torch.bfloat16, enabled=training.precision == "bf16"):
+            output = stage(batch)
+        forward = now()
+        optimizer.zero_grad()
         output.losses.total.backward()
-        backward = self._now()
-        self.optimizer.step()
-        done = self._now()
-        parts = {"networks": self.networks, "losses": forward - began - self.networks}
-        return parts | {"backward": backward - forward, "optimiser": done - backward, "step": done - began}
-
-
-def median_step(name: str, training: Training, batch: dict[str, Any], device: torch.device, repeats: int) -> dict[str, float]:
-    """Median seconds of a step's parts, and `peak_mb`: the GPU's peak in 10⁶ bytes, or the process's, which should then be a fresh one."""
-    timer = StepTimer(name, training, device)
-    rows = [timer.step(batch) for _ in range(repeats + 2)][2:]
+        backward = now()
+        optimizer.step()
+        done = now()
+        parts = {"networks": sum(marks), "losses": forward - began - sum(marks)}
+        rows.append(parts | {"backward": backward - forward, "optimiser": done - backward, "step": done - began})
     peak = torch.cuda.max_memory_allocated() if device.type == "cuda" else resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-    return {part: statistics.median(row[part] for row in rows) for part in rows[0]} | {"peak_mb": peak / 1e6}
-
-
-def alone(function: Callable[..., Any], *arguments: Any) -> Any:
-    """Call a function in a process of its own, so that its peak of memory is its own."""
-    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-        return pool.submit(function, *arguments).result()
+    return {**pd.DataFrame(rows[2:]).median(), "peak_mb": peak / 1e6}
 
 
 def bench(encoder: str, repeats: int) -> pd.DataFrame:
@@ -131,10 +109,8 @@ def bench(encoder: str, repeats: int) -> pd.DataFrame:
         bar.update()
         batch = default_collate([dataset[epoch, 0] for epoch in range(training.lr.batch_size)])
         batch = {k: v.to(device) if torch.is_tensor(v) else v for k, v in batch.items()}
-        steps = {}
-        for precision in precisions:
-            steps[precision] = median_step("lr", training.model_copy(update={"precision": precision}), batch, device, repeats)
-            bar.update()
+        steps = {p: median_step("lr", training.model_copy(update={"precision": p}), batch, device, repeats) for p in precisions}
+        bar.update(len(steps))
         chosen = steps[precisions[0]]
         rows.append((f"stage 1 step, {encoder} 128x416, batch 4, {precisions[0]}", chosen["step"], "s"))
         rows += [(f"  of it {part}", chosen[part] / chosen["step"], "share") for part in ("networks", "losses", "backward", "optimiser")]
@@ -151,7 +127,8 @@ def high_resolution_steps(training: Training, batch: dict[str, Any], device: tor
     """Stage 2's step against that of a ResNet18 network with the same decoder at the same resolution."""
     rows, steps = [], {}
     for name in ("dual", "resnet18"):
-        steps[name] = alone(median_step, name, training, batch, device, repeats)
+        with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:  # of its own, as is its peak of memory
+            steps[name] = pool.submit(median_step, name, training, batch, device, repeats).result()
         rows.append((f"stage 2 step, {name} 384x1248, batch 4, {training.precision}", steps[name]["step"], "s"))
         rows.append(("  peak memory", steps[name]["peak_mb"], "MB"))
     rows += [(f"  dual / resnet18, {part}", steps["dual"][part] / steps["resnet18"][part], "ratio") for part in ("step", "peak_mb")]

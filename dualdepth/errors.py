@@ -24,8 +24,7 @@ class InputError(Exception):
 def first_mistake(error: Any) -> str:
     """Where and what the first mistake of a pydantic `ValidationError` is, and the value found, cut to 60 characters."""
     first = error.errors(include_url=False)[0]
-    found = textwrap.shorten(repr(first["input"]), 60, placeholder="…")
-    return f"{'.'.join(map(str, first['loc']))}: {first['msg']}, not {found}".removeprefix(": ")
+    return f"{'.'.join(map(str, first['loc']))}: {first['msg']}, found {first['input']!r:.60}".removeprefix(": ")
 
 
 @contextlib.contextmanager

@@ -81,26 +81,24 @@ class DepthModel(ModelHubMixin):
         precision: Precision | None = None,
     ) -> None:
         try:
-            architecture = Architecture.of_card(card)
+            self.architecture = Architecture.of_card(card)
             height, width = map(int, card["hr_size"])
             if min(height, width) < 192 or height % 96 or width % 96:
                 raise ValueError(f"hr_size [{height}, {width}]: both sides must be multiples of 96, at least 192")
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"the card names no network of this project ({error}); give network and hr_size") from None
-        self.card = card | architecture.model_dump()
+        self.card = card | self.architecture.model_dump()
         """What is known of the weights."""
         self.size = height, width
         """(height, width) that images are resized to."""
         self.device = choose_device(device)
         self.precision = inference_precision(precision, self.device)
-        self.architecture = architecture
-        self.net = (net or architecture.build()).eval().to(self.device)
+        self.net = (net or self.architecture.build()).eval().to(self.device)
 
     @property
     def about(self) -> str:
         """That depth is relative, and what it was learned from, in one line."""
-        learned = self.card.get("about")
-        learned = f"Learned by {learned}." if learned else "The card does not say what these weights were learned from."
+        learned = f"Learned by {self.card['about']}." if self.card.get("about") else "The card does not say what these weights were learned from."
         start = " The encoder began with ImageNet weights." if self.card.get("pretrained") else ""
         return f"Depth is relative: its unit is unknown. {learned}{start}"
 
@@ -122,61 +120,48 @@ class DepthModel(ModelHubMixin):
         """
         return self.predict_batch([image])[0]
 
+    @torch.inference_mode()
     def predict_batch(self, images: Sequence[str | Path | np.ndarray]) -> list[np.ndarray]:
         """Depths of some images, of any sizes, computed together; see `predict`."""
         arrays = [_rgb(image) for image in images]
         views = np.stack([resample(array, self.size) for array in arrays]).transpose(0, 3, 1, 2)
-        return [
-            resize_bilinear(np.float32(UNIT) / disparity, array.shape[:2]) for disparity, array in zip(self._disparities(views), arrays)
-        ]
-
-    @torch.inference_mode()
-    def _disparities(self, views: np.ndarray) -> np.ndarray:
-        """(B, h, w) float32 of (B, 3, H, W) bytes."""
-        images = to_unit(torch.from_numpy(np.ascontiguousarray(views)).to(self.device))
+        seen = to_unit(torch.from_numpy(np.ascontiguousarray(views)).to(self.device))
         if self.architecture.sees_low_resolution:
-            images = low_resolution(images[:, None])[:, 0]
+            seen = low_resolution(seen[:, None])[:, 0]
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.precision == "bf16"):
-            disparities = self.net(images, scales=1).disparities[0][:, 0].float().cpu().numpy()
+            disparities = self.net(seen, scales=1).disparities[0][:, 0].float().cpu().numpy()
         if not np.isfinite(disparities).all():
             raise InputError(f"the network's numbers are not finite in {self.precision}; its weights are damaged or need float32")
-        return disparities
+        return [resize_bilinear(np.float32(UNIT) / disparity, array.shape[:2]) for disparity, array in zip(disparities, arrays)]
 
     @classmethod
-    def from_pretrained(cls, name: str | Path, **options: Any) -> "DepthModel":
-        """Load a folder that `save_pretrained` or a training has written, or a model of the model hub.
+    def from_pretrained(
+        cls, name: str | Path, *, device: str | torch.device | None = None, precision: Precision | None = None, **hub: Any
+    ) -> "DepthModel":
+        """Load a file or folder that `save_pretrained` or a training has written, or a model of the model hub.
 
         Args:
-            name: the folder, or `owner/name`.
-            options: `device` and `precision` as of the class; for the hub `revision`, `cache_dir`, `token`, `local_files_only`,
-                `force_download`.
+            name: the file or folder, or `owner/name`.
+            device: as of the class.
+            precision: as of the class.
+            hub: `revision`, `cache_dir`, `token`, `local_files_only`, `force_download`.
 
         Raises:
             InputError: it is not there, cannot be had, or is not of this project.
         """
-        if Path(name).is_absolute() and not Path(name).is_dir():
-            raise InputError(f"{name}: no such folder; give one with {WEIGHTS} and its card in it, or a name on the model hub")
-        if Path(name).is_dir():
-            hub = ("revision", "cache_dir", "token", "local_files_only", "force_download")
-            return cls._of_file(Path(name) / WEIGHTS, **{key: value for key, value in options.items() if key not in hub})
-        try:
-            # the mixin would take what is not given from the card, which names the machine of the training
-            return super().from_pretrained(str(name), **{"device": None, "precision": None} | options)
-        except (OSError, ValueError, AttributeError) as error:  # no network, no such name, no JSON
-            reason = next(iter(str(error).splitlines()), type(error).__name__)
-            raise InputError(f"{name}: no folder, and not to be had from the model hub ({reason}); check the name") from None
-
-    @classmethod
-    def _from_pretrained(
-        cls, *, model_id: str, device: str | torch.device | None = None, precision: Precision | None = None, **hub: Any
-    ) -> "DepthModel":
-        paths = [hf_hub_download(model_id, name, **hub) for name in (HUB_CARD, WEIGHTS)]
-        return cls._of_file(paths[1], device, precision)
-
-    @classmethod
-    def _of_file(cls, path: str | Path, device: str | torch.device | None = None, precision: Precision | None = None) -> "DepthModel":
-        depth_net = load_depth_net(path)
-        return cls(load_card(path), depth_net.net, device=device, precision=precision)
+        path = Path(name)
+        if path.is_dir():
+            path /= WEIGHTS
+        elif not path.is_file():
+            if path.is_absolute() or path.suffix == ".safetensors":
+                raise InputError(f"{name}: no such weights; give {WEIGHTS} of a training, its folder, or a name on the model hub")
+            try:
+                hf_hub_download(str(name), HUB_CARD, **hub)
+                path = Path(hf_hub_download(str(name), WEIGHTS, **hub))
+            except (OSError, ValueError) as error:  # no network, no such name
+                reason = next(iter(str(error).splitlines()), type(error).__name__)
+                raise InputError(f"{name}: no folder, and not to be had from the model hub ({reason}); check the name") from None
+        return cls(load_card(path), load_depth_net(path).net, device=device, precision=precision)
 
     def _save_pretrained(self, save_directory: Path) -> None:
         card = {key: value for key, value in self.card.items() if key != "sha256"} | {"hr_size": list(self.size)}
@@ -212,11 +197,6 @@ def load(weights: str | Path, device: str | torch.device | None = None, precisio
     (375, 1242)
     >>> folder.cleanup()
     """
-    path = Path(weights)
-    if path.is_file():
-        return DepthModel._of_file(path, device, precision)
-    if path.suffix == ".safetensors" and not path.is_dir():
-        raise InputError(f"{path}: no such weights; give model.safetensors of a training, its folder, or a name on the model hub")
     return DepthModel.from_pretrained(weights, device=device, precision=precision)
 
 

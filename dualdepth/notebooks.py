@@ -13,8 +13,6 @@ from dualdepth.run import project_root
 
 NOT_SHOWN = ("Executing", "Ending", "Input", "Output", "Working directory", "<", "\n")
 """What papermill says of its own, and the text form of pictures and tables, which nobody reads in a terminal."""
-KERNEL_LOG = "--IPKernelApp.log_level=50"
-"""The kernel's own log says nothing about the notebook."""
 
 
 def run_notebook(name: str, out: str | Path, parameters: dict[str, Any]) -> Path:
@@ -43,8 +41,9 @@ def run_notebook(name: str, out: str | Path, parameters: dict[str, Any]) -> Path
     print(f"▶ {title}", file=sys.stderr, flush=True)
     began = time.perf_counter()
     _show_streams()
-    # of a progress bar, the copy keeps the last state alone
-    settings = {"progress_bar": False, "log_output": True, "coalesce_streams": True, "extra_arguments": [KERNEL_LOG]}
+    # of a progress bar, the copy keeps the last state alone; the kernel's own log says nothing about the notebook
+    log_level = ["--IPKernelApp.log_level=50"]
+    settings = {"progress_bar": False, "log_output": True, "coalesce_streams": True, "extra_arguments": log_level}
     with atomic_path(out) as partial:
         try:
             papermill.execute_notebook(str(source), str(partial), parameters, cwd=str(root), **settings)

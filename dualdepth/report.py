@@ -29,14 +29,6 @@ TITLES = {
 }
 HIDDEN = ("variant", "device", "seeds")
 """Columns of tables that the page does not show; the CSV files have them."""
-HEADINGS = {"mean_a": "mean of the one", "mean_b": "mean of the other", "n": "scored", "in_words": "in words"}
-"""Column names that a reader of the page needs in words."""
-WORTH = (
-    "What a 3-frame error of 0.016 m is worth: little. On KITTI a car that never turns and always drives at the mean speed of other"
-    " drives has 0.0163 on sequence 09 and 0.0131 on 10, and the truth with every pose inverted 0.0150 and 0.0088. Over a quarter of a"
-    " second every car drives straight on, so this score hardly sees whether it goes forwards. Judge PoseNet by its whole trajectories."
-)
-"""Of the paper's odometry score (docs/protocols.md, "Odometry")."""
 CAPTIONS = {
     "main_depth": "Frames, laser depth, predicted depth and relative error.",
     "ablation_depth": "Depth of the ablation's networks.",
@@ -121,13 +113,12 @@ def make_report(run: Run) -> Report:
     not_run = {name for name, table in tables.items() if "n" not in table or table["n"].isna().all()}
     figures = {path.stem: path for path in sorted((run.results / "figures").glob("*.png")) if path.stem in CAPTIONS}
     figures = {name: path for name, path in figures.items() if FIGURE_OF.get(name) not in not_run}
-    stamps = sorted((run.results / "tables").glob("*.json")) + [path.with_suffix(".json") for path in figures.values()]
-    stamps = [path for path in stamps if not path.stem.startswith("report_")]
+    stamps = [path for path in sorted(folder.glob("*.json")) if not path.stem.startswith("report_")]
+    stamps += [path.with_suffix(".json") for path in figures.values()]
     more = {name: read[name] for name in ("odometry_trajectories", "odometry_claims") if name in read}
     chosen = assumptions(run.profile.training.loss)
     captions = CAPTIONS if run.profile.data.has_truth else CAPTIONS | UNSCORED_CAPTIONS
-    drawing = run.root / "docs/overview.svg"
-    svg = drawing.read_text(encoding="utf-8") if drawing.is_file() else ""
+    svg = path.read_text(encoding="utf-8") if (path := run.root / "docs/overview.svg").is_file() else ""
     return Report(run.profile.about, caution, claims, numbers, tables, more, _provenance(run, stamps), figures, chosen, captions, svg)
 
 
@@ -185,12 +176,8 @@ def html(report: Report, name: str) -> str:
         report=report,
         claims=report.claims[["claim", "metric", "verdict", *(c for c in report.claims if c not in ("claim", "metric", "verdict"))]],
         tables={k: (title, shown(k, report.tables[k])) for k, title in TITLES.items()},
-        headings=HEADINGS,
         pictures=pictures,
-        captions=report.captions,
         more={k: shown(k, frame) for k, frame in report.more.items()},
-        assumptions=report.assumptions,
-        worth=WORTH,
         oddities=paper.ODDITIES,
         rules=RULES,
     )

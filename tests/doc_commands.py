@@ -10,6 +10,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+import pytest
+
 REPOSITORY = Path(__file__).parents[1]
 PAGES = [REPOSITORY / "README.md", REPOSITORY / "CONTRIBUTING.md", *sorted((REPOSITORY / "docs").glob("*.md"))]
 SHELL = ("bash", "sh", "shell", "console")
@@ -39,10 +41,14 @@ def fences(page: Path) -> Iterator[tuple[str, str]]:
         yield match[1], match[2]
 
 
+def prose(page: Path) -> str:
+    """A page without its code fences."""
+    return re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+
+
 def inline_code(page: Path) -> list[str]:
     """What stands between backticks in a page's prose."""
-    prose = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
-    return [" ".join(code.split()) for code in re.findall(r"`([^`]+)`", prose)]
+    return [" ".join(code.split()) for code in re.findall(r"`([^`]+)`", prose(page))]
 
 
 def fenced_commands() -> list[Command]:
@@ -101,20 +107,13 @@ def dry_program(words: list[str], monkeypatch) -> None:
     """Parse the options by the program's own parser."""
     main, arguments = program(words)
     if "--help" in arguments:
-        with_help(main, arguments)
+        with pytest.raises(SystemExit, match="0"):
+            main(arguments)
         return
     with parse_only(monkeypatch):
         main(arguments)
     if "--" in arguments and "--profile" in (rest := arguments[arguments.index("--") :]):
         assert (REPOSITORY / rest[rest.index("--profile") + 1] / "config.yaml").is_file()
-
-
-def with_help(main: Callable[[list[str]], int | None], arguments: list[str]) -> None:
-    """Run `--help`, which ends the program with code 0."""
-    try:
-        main(arguments)
-    except SystemExit as stop:
-        assert stop.code == 0
 
 
 def dry_make(words: list[str], _monkeypatch) -> None:

@@ -1,15 +1,12 @@
 """`dualdepth evaluate odometry` from outside: numbers, JSON, what cannot be measured, and one line for every mistake."""
 
 import json
-import resource
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from dualdepth.cli import build_parser, main
+from dualdepth.cli import main
 from dualdepth.data.odometry import read_trajectory, write_trajectory
 from dualdepth.evaluation.odometry import ALIGNMENTS, snippet_errors, snippets, trajectory_errors
 
@@ -72,30 +69,14 @@ def test_json_is_flat_and_equals_the_library(files, capsys, length, align):
 def test_defaults_are_the_first_choices(files, capsys):
     assert values_of(capsys) == values_of(capsys, "--snippet", "3", "--align", "7dof")
     assert values_of(capsys) != values_of(capsys, "--snippet", "5") and values_of(capsys) != values_of(capsys, "--align", "6dof")
-    arguments = ["evaluate", "odometry", "--pred", "p", "--gt", "g"]
-    assert build_parser().parse_args(arguments).align == ALIGNMENTS[0]
-
-
-def test_a_table_is_printed_and_the_json_file_written_beside_it(files, capsys):
-    run("--json", "out/result.json")
-    lines = dict(line.split() for line in capsys.readouterr().out.splitlines())
-    written = json.loads(Path("out/result.json").read_text())
-    assert list(lines) == list(written) == NAMES
-    assert float(lines["t_err"]) == pytest.approx(written["t_err"], abs=1e-4) and lines["n"] == "298"
-
-
-def test_the_truth_scores_zero(files, capsys):
-    values, _ = values_of(capsys, pred="gt.txt")
-    assert values.pop("n") == 298
-    assert list(values.values()) == pytest.approx([0] * 7, abs=1e-5)
 
 
 def test_frame_numbers_pair_the_poses_and_no_snippet_crosses_a_gap(files, capsys):
     frames = np.array([2, 3, 4, 5, 8, 9, 10, 200])
     write_trajectory("part.txt", read_trajectory("gt.txt").poses[frames], frames)
     values, _ = values_of(capsys, "--align", "none", pred="part.txt")
-    assert values["n"] == 3 and values["ate"] == pytest.approx(0, abs=1e-9)
-    assert values["snippet_ate_mean"] == pytest.approx(0, abs=1e-9)
+    assert values.pop("n") == 3
+    assert [v for v in values.values() if v is not None] == pytest.approx([0] * 5, abs=1e-5)  # the truth scores zero
     assert values_of(capsys, "--snippet", "5", pred="part.txt")[0]["n"] == 0
 
 
@@ -150,27 +131,3 @@ def test_a_bad_file_is_one_line_and_nothing_is_written(files, capsys, option):
 )
 def test_bad_options_are_one_line(files, capsys, arguments, says):
     assert says in fails(capsys, *arguments)
-
-
-def test_help_is_quick_and_names_the_units():
-    def seconds():  # of the processor: the clock also counts what else the machine does
-        used = resource.getrusage(resource.RUSAGE_CHILDREN)
-        return used.ru_utime + used.ru_stime
-
-    start = seconds()
-    command = [sys.executable, "-m", "dualdepth.cli", "evaluate", "odometry", "--help"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0 and "t_err in %, r_err in degrees per 100 m" in " ".join(done.stdout.split())
-    assert seconds() - start < 1
-
-
-def test_nothing_heavy_is_imported_before_it_is_needed(files):
-    script = (
-        "import sys, dualdepth.cli as cli\n"
-        "cli.build_parser()\n"
-        "assert not {'torch', 'pandas', 'numpy', 'scipy'} & set(sys.modules)\n"
-        "cli.main(['evaluate', 'odometry', '--pred', 'pred.txt', '--gt', 'gt.txt'])\n"
-        "assert 'torch' not in sys.modules\n"
-    )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
-    assert done.returncode == 0 and done.stderr == "", done.stderr

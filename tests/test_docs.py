@@ -22,6 +22,7 @@ from doc_commands import (
     inline_code,
     inline_commands,
     program,
+    prose,
     trust,
 )
 
@@ -74,19 +75,12 @@ def named(command: Command) -> str:
 
 
 @pytest.fixture
-def small_world(tmp_path, monkeypatch):
+def small_world(tmp_path, monkeypatch, kitti_factory, write_scan):
     """The files that the pages' examples name, small, in the working directory; `replace` puts them in place of a reader's folders."""
     monkeypatch.chdir(tmp_path)
-    day = tmp_path / "kitti_raw" / "2011_09_26"
-    rng = np.random.default_rng(0)
+    root, rng = kitti_factory({DRIVE: range(2)}), np.random.default_rng(0)
     for index in range(2):
-        for camera in ("image_02", "velodyne_points"):
-            (day.parent / DRIVE / camera / "data").mkdir(parents=True, exist_ok=True)
-        scan = np.column_stack([rng.uniform(5, 40, 2000), rng.uniform(-8, 8, (2000, 2)), np.ones(2000)])
-        scan.astype("<f4").tofile(day.parent / DRIVE / "velodyne_points" / "data" / f"{index:010d}.bin")
-        cv2.imwrite(str(day.parent / DRIVE / "image_02" / "data" / f"{index:010d}.png"), rng.integers(0, 255, (48, 160, 3), np.uint8))
-    (day / "calib_velo_to_cam.txt").write_text("R: 0 -1 0 0 0 -1 1 0 0\nT: 0 0 -0.27\n")
-    (day / "calib_cam_to_cam.txt").write_text("S_rect_02: 160 48\nR_rect_00: 1 0 0 0 1 0 0 0 1\nP_rect_02: 80 0 80 0 0 80 24 0 0 0 1 0\n")
+        write_scan(root, DRIVE, index)
     Path("frames.txt").write_text("".join(f"{DRIVE} {index:010d} l\n" for index in range(2)))
     np.save("disparities.npy", rng.uniform(0.02, 0.2, (2, 16, 52)).astype(np.float32))
     np.save("depths.npy", rng.uniform(5, 50, (2, 16, 52)).astype(np.float32))
@@ -99,7 +93,7 @@ def small_world(tmp_path, monkeypatch):
     cv2.imwrite("photo.jpg", rng.integers(0, 255, (120, 200, 3), np.uint8))
     DepthModel({"network": "hr", "hr_size": [192, 288]}, device="cpu").save_pretrained("work/tiny/runs/lr/seed0")
     shutil.copytree("work/tiny/runs/lr", "work/tiny/runs/dual")
-    replace = {"/data/kitti_raw": str(day.parent)}
+    replace = {"/data/kitti_raw": str(root)}
     return lambda words: [replace.get(word, word) for word in words]
 
 
@@ -147,15 +141,13 @@ def test_a_misspelt_option_is_noticed(monkeypatch, capsys):
 
 def links(page):
     """Relative link targets of a page, as (path, anchor)."""
-    text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
-    targets = [target for target in re.findall(r"\]\(([^)\s]+)\)", text) if not re.match(r"[a-z]+:", target)]
+    targets = [target for target in re.findall(r"\]\(([^)\s]+)\)", prose(page)) if not re.match(r"[a-z]+:", target)]
     return [target.partition("#")[::2] for target in targets]
 
 
 def anchors(page):
     """Anchors of a page's headings, as GitHub makes them."""
-    text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
-    headings = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+    headings = re.findall(r"^#+ (.*)$", prose(page), re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 

@@ -28,11 +28,6 @@ class Drive(NamedTuple):
         """(N,) seconds."""
         return np.arange(len(self.poses)) * PERIOD
 
-    @property
-    def length(self) -> float:
-        """Length of the camera's path, metres."""
-        return float(np.linalg.norm(np.diff(self.poses[:, :3, 3], axis=0), axis=1).sum())
-
 
 def camera_pose(street: Street, s: float, d: float, height: float, angles: tuple[float, float, float]) -> np.ndarray:
     """(4, 4) camera to world, at street coordinates `s`, `d`; `angles` are yaw to the right of the road, pitch up, roll, in radians."""

@@ -45,12 +45,11 @@ class Prism(NamedTuple):
 
 
 class Quadric(NamedTuple):
-    """An ellipsoid, or with `radii[1] = inf` an upright cylinder between `top` and `bottom`."""
+    """An ellipsoid, or with `radii[1] = inf` an upright cylinder from `top` to the ground."""
 
     centre: np.ndarray
     radii: np.ndarray
     top: float
-    bottom: float
     corners: np.ndarray
     """(8, 3), of a box around it."""
     surface: Surface
@@ -168,7 +167,7 @@ def ellipsoid(centre, radii, material: str, label: int, colour, seed: float) -> 
     """An ellipsoid with its axes along the world's; `centre` and `radii` as x, y, z."""
     centre, radii = np.asarray(centre, float), np.asarray(radii, float)
     surface = Surface(material, label, colour, seed, *np.zeros((4, 3)), (1.0, 1.0))
-    return Quadric(centre, radii, -np.inf, np.inf, box_corners(centre, np.eye(3), radii), surface)
+    return Quadric(centre, radii, -np.inf, box_corners(centre, np.eye(3), radii), surface)
 
 
 def cylinder(point, radius: float, height: float, material: str, label: int, colour, seed: float) -> Quadric:
@@ -176,4 +175,4 @@ def cylinder(point, radius: float, height: float, material: str, label: int, col
     centre = np.array([point[0], 0.0, point[1]])
     surface = Surface(material, label, colour, seed, *np.zeros((4, 3)), (1.0, 1.0))
     corners = box_corners(centre - [0, height / 2, 0], np.eye(3), np.array([radius, height / 2, radius]))
-    return Quadric(centre, np.array([radius, np.inf, radius]), -height, 0.0, corners, surface)
+    return Quadric(centre, np.array([radius, np.inf, radius]), -height, corners, surface)

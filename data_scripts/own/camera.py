@@ -57,9 +57,8 @@ def camera_of_numbers(text: str, size: tuple[int, int]) -> Camera:
     try:
         fx, fy, cx, cy = (float(part) for part in text.split(","))
     except ValueError:
-        raise InputError(
-            f"--intrinsics {text!r}: give fx,fy,cx,cy in pixels, such as 1000,1000,959.5,539.5, or a calibration file"
-        ) from None
+        mend = "give fx,fy,cx,cy in pixels, such as 1000,1000,959.5,539.5, or a calibration file"
+        raise InputError(f"--intrinsics {text!r}: {mend}") from None
     return validate(Camera(_matrix(fx, fy, cx, cy), size, "given as numbers"), "--intrinsics")
 
 
@@ -69,19 +68,28 @@ def camera_of_file(path: str | Path, size: tuple[int, int]) -> Camera:
     Raises:
         InputError: it cannot be read, holds no camera, or is of frames of another size.
     """
-    path = Path(path)
+    path, said, origin, distortion = Path(path), size, "given", ()
     if path.suffix.lower() != ".json":
-        return validate(Camera(_kitti_matrix(path, size), size, f"given in {path.name}"), str(path))
-    with reading(path, 'give {"fx": …, "fy": …, "cx": …, "cy": …} in pixels'):
-        values = json.loads(path.read_text(encoding="utf-8"))
-        values = values.get("camera", values)
-        matrix = _matrix(*(float(values[k]) for k in ("fx", "fy", "cx", "cy")))
-        distortion = tuple(float(v) for v in values.get("distortion", ()))
-        said = (int(values.get("height", size[0])), int(values.get("width", size[1])))
-        origin = str(values.get("origin", "given"))
+        values = read_calibration(path)
+        key = next((k for k in KEYS if k in values), KEYS[0])
+        matrix = calibration_entry(values, key, 12, path).reshape(3, 4)[:, :3].copy()
+        if (rectified := f"S_rect{key[-3:]}") in values and key.startswith("P_rect"):
+            width, height = calibration_entry(values, rectified, 2, path)
+            said = round(height), round(width)
+    else:
+        with reading(path, 'give {"fx": …, "fy": …, "cx": …, "cy": …} in pixels'):
+            values = json.loads(path.read_text(encoding="utf-8"))
+            values = values.get("camera", values)
+            matrix = _matrix(*(float(values[k]) for k in ("fx", "fy", "cx", "cy")))
+            distortion = tuple(float(v) for v in values.get("distortion", ()))
+            said = int(values.get("height", size[0])), int(values.get("width", size[1]))
+            origin = str(values.get("origin", origin))
     if len(distortion) not in (0, 4, 5, 8) or not np.isfinite(distortion).all():
         raise InputError(f"{path}: distortion has {len(distortion)} numbers; give OpenCV's k1, k2, p1, p2, k3, or none")
-    _check_size(path, said, size)
+    if said != size:
+        raise InputError(
+            f"{path}: is of {said[1]}×{said[0]} pixels, the frames have {size[1]}×{size[0]}; calibrate with frames of the same mode"
+        )
     return validate(Camera(matrix, size, f"{origin}; read from {path.name}", distortion), str(path))
 
 
@@ -92,9 +100,8 @@ def camera_of_field(degrees: float, size: tuple[int, int]) -> Camera:
         InputError: the field is not a believable one.
     """
     if not FIELD[0] <= degrees <= FIELD[1]:
-        raise InputError(
-            f"--fov {degrees:g}: give the horizontal field of view in degrees, {FIELD[0]:g} to {FIELD[1]:g}; phones have 60 to 75"
-        )
+        mend = f"give the horizontal field of view in degrees, {FIELD[0]:g} to {FIELD[1]:g}; phones have 60 to 75"
+        raise InputError(f"--fov {degrees:g}: {mend}")
     focal = size[1] / 2 / math.tan(math.radians(degrees / 2))
     centre = (size[1] - 1) / 2, (size[0] - 1) / 2
     return Camera(_matrix(focal, focal, *centre), size, f"ESTIMATED from a horizontal field of view of {degrees:g} degrees, not calibrated")
@@ -116,9 +123,8 @@ def calibrate(views: Iterable[tuple[str, np.ndarray]], squares: tuple[int, int],
     for name, image in views:
         seen += 1
         if image.shape[:2] != size:
-            raise InputError(
-                f"{name}: has {image.shape[1]}×{image.shape[0]} pixels, the frames have {size[1]}×{size[0]}; film both in the same mode"
-            )
+            sizes = f"has {image.shape[1]}×{image.shape[0]} pixels, the frames have {size[1]}×{size[0]}"
+            raise InputError(f"{name}: {sizes}; film both in the same mode")
         grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
         for pattern in [p for p in patterns if min(p) > 2]:
             there, found = cv2.findChessboardCornersSB(grey, pattern, None)
@@ -153,18 +159,17 @@ def validate(camera: Camera, what: str) -> Camera:
     """
     (fx, _, cx), (_, fy, cy), _ = camera.matrix
     height, width = camera.size
-    where = f"{what}: fx {fx:g}, fy {fy:g}, cx {cx:g}, cy {cy:g} for frames of {width}×{height}"
+    wrong = ""
     if not np.isfinite(camera.matrix).all() or min(fx, fy) <= 0:
-        raise InputError(f"{where}: the numbers must be finite and the focal lengths above 0, in pixels")
-    if not FIELD[0] <= camera.field <= FIELD[1]:
-        raise InputError(
-            f"{where}: a field of view of {camera.field:.0f} degrees, not {FIELD[0]:g} to {FIELD[1]:g}; give pixels of these frames, not"
-            " millimetres or pixels of another resolution"
-        )
-    if not 0.5 < fx / fy < 2:
-        raise InputError(f"{where}: fx and fy differ by more than a factor of two; give fx,fy,cx,cy in this order")
-    if not (0 <= cx < width and 0 <= cy < height):
-        raise InputError(f"{where}: the centre lies outside of the frame; give fx,fy,cx,cy in this order, in pixels of these frames")
+        wrong = "the numbers must be finite and the focal lengths above 0, in pixels"
+    elif not FIELD[0] <= camera.field <= FIELD[1]:
+        wrong = f"a field of view of {camera.field:.0f} degrees, not {FIELD[0]:g} to {FIELD[1]:g}; give pixels of these frames"
+    elif not 0.5 < fx / fy < 2:
+        wrong = "fx and fy differ by more than a factor of two; give fx,fy,cx,cy in this order"
+    elif not (0 <= cx < width and 0 <= cy < height):
+        wrong = "the centre lies outside of the frame; give fx,fy,cx,cy in this order, in pixels of these frames"
+    if wrong:
+        raise InputError(f"{what}: fx {fx:g}, fy {fy:g}, cx {cx:g}, cy {cy:g} for frames of {width}×{height}: {wrong}")
     return camera
 
 
@@ -184,20 +189,3 @@ class Straightener:
 
 def _matrix(fx: float, fy: float, cx: float, cy: float) -> np.ndarray:
     return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
-
-
-def _check_size(path: Path, said: tuple[int, int], size: tuple[int, int]) -> None:
-    if said != size:
-        raise InputError(
-            f"{path}: is of {said[1]}×{said[0]} pixels, the frames have {size[1]}×{size[0]}; calibrate with frames of the same mode"
-        )
-
-
-def _kitti_matrix(path: Path, size: tuple[int, int]) -> np.ndarray:
-    """From the first entry of `KEYS`."""
-    values = read_calibration(path)
-    key = next((k for k in KEYS if k in values), KEYS[0])
-    if (said := f"S_rect{key[-3:]}") in values and key.startswith("P_rect"):
-        width, height = calibration_entry(values, said, 2, path)
-        _check_size(path, (round(height), round(width)), size)
-    return calibration_entry(values, key, 12, path).reshape(3, 4)[:, :3].copy()

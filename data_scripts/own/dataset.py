@@ -21,6 +21,7 @@ from data_scripts.own.checks import Drive
 from dualdepth.data.frames import Footage
 from dualdepth.data.kitti import SUFFIXES
 from dualdepth.errors import InputError, reading
+from dualdepth.files import write_text
 from dualdepth.profile import PROFILES
 from dualdepth.run import RECORD
 
@@ -57,56 +58,42 @@ def fitting_size(size: tuple[int, int]) -> tuple[int, int]:
     return max(alike, key=lambda c: c[0] * c[1]) if alike else min(choices, key=squeezed)
 
 
-def write_frames(
-    root: Path, footages: Sequence[Footage], drives: Sequence[Drive], straighten: Straightener | None, progress: bool = True
-) -> None:
+def write_frames(root: Path, footages: Sequence[Footage], drives: Sequence[Drive], straighten: Straightener | None) -> None:
     """Write the drives' frames, numbered from 0: image files as they are, else JPEG; undistorted where there is a lens to undo."""
-    with tqdm(total=sum(len(d.numbers) for d in drives), desc="writing frames", unit="frame", disable=None if progress else True) as bar:
+    with tqdm(total=sum(len(d.numbers) for d in drives), desc="writing frames", unit="frame", disable=None) as bar:
         for place, footage in enumerate(footages):
             targets = {
-                n: _folder(root, i) / f"{k:010d}" for i, d in enumerate(drives, 1) if d.footage == place for k, n in enumerate(d.numbers)
+                n: root / drive_name(i) / "image_02" / "data" / f"{k:010d}"
+                for i, d in enumerate(drives, 1)
+                if d.footage == place
+                for k, n in enumerate(d.numbers)
             }
             suffixes = {file.suffix.lower() for file in (footage.files or {}).values()}
             # the chain looks up a drive's suffix once
             copies = straighten is None and len(suffixes) == 1 and suffixes <= set(SUFFIXES)
-            for target in targets.values():
-                target.parent.mkdir(parents=True, exist_ok=True)
             for still in footage.stills(targets):
                 target = targets[still.number]
+                target.parent.mkdir(parents=True, exist_ok=True)
                 if copies and still.file:
                     shutil.copyfile(still.file, target.with_suffix(still.file.suffix.lower()))
                 else:
-                    image = straighten(still.image) if straighten else still.image
-                    _write_jpeg(target.with_suffix(".jpg"), image)
+                    image = cv2.cvtColor(straighten(still.image) if straighten else still.image, cv2.COLOR_RGB2BGR)
+                    data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]
+                    target.with_suffix(".jpg").write_bytes(data.tobytes())
                 bar.update()
 
 
-def _write_jpeg(path: Path, image: np.ndarray) -> None:
-    done, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-    if not done:
-        raise InputError(f"{path}: cannot be encoded")
-    path.write_bytes(data.tobytes())
-
-
-def _folder(root: Path, number: int) -> Path:
-    return root / drive_name(number) / "image_02" / "data"
-
-
-def write_calibration(root: Path, camera: Camera) -> None:
-    """Write KITTI's `calib_cam_to_cam.txt` with the one camera."""
-    projection = np.hstack([camera.matrix, np.zeros((3, 1))]).ravel()
-    numbers = " ".join(f"{value:.9g}" for value in projection)
-    path = root / DATE / "calib_cam_to_cam.txt"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(f"S_rect_02: {camera.size[1]} {camera.size[0]}\nP_rect_02: {numbers}\n", encoding="utf-8")
-
-
-def write_lists(root: Path, train: int, held_out: int) -> None:
-    """Write the training drives 1 … `train`, and the frames of the drive behind them, which are held out."""
-    (root / "lists").mkdir(parents=True, exist_ok=True)
-    (root / "lists" / "train_drives.txt").write_text("".join(f"{drive_name(k)}\n" for k in range(1, train + 1)), encoding="utf-8")
-    shown = "".join(f"{drive_name(train + 1)} {k:010d} l\n" for k in range(held_out))
-    (root / "lists" / "test_files.txt").write_text(shown, encoding="utf-8")
+def write_texts(root: Path, camera: Camera, train: int, held_out: int) -> None:
+    """Write KITTI's `calib_cam_to_cam.txt` with the one camera, and the lists: training drives 1 … `train`, and all frames of the drive
+    behind them, which are held out."""
+    numbers = " ".join(f"{value:.9g}" for value in np.hstack([camera.matrix, np.zeros((3, 1))]).ravel())
+    texts = {
+        f"{DATE}/calib_cam_to_cam.txt": f"S_rect_02: {camera.size[1]} {camera.size[0]}\nP_rect_02: {numbers}\n",
+        "lists/train_drives.txt": "".join(f"{drive_name(k)}\n" for k in range(1, train + 1)),
+        "lists/test_files.txt": "".join(f"{drive_name(train + 1)} {k:010d} l\n" for k in range(held_out)),
+    }
+    for name, text in texts.items():
+        write_text(root / name, text)
 
 
 def profile_text(hr_size: tuple[int, int], triplets: int) -> str:

@@ -45,9 +45,8 @@ def _add_depth(kinds: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
         help="pixels that count: ground truth between the depths, or all above 0, as for the improved ground truth (default: %(default)s)",
     )
     parser.add_argument("--allow-pickle", action="store_true", help="read the field's pickled gt_depths.npz; only from a source you trust")
-    _add_leak_guard(parser, "--list", "FILE", "list of the frames, as given to data_scripts/export_depth.py")
-    parser.add_argument("--json", metavar="OUT", help="write the numbers as flat JSON to a file, or with - to standard output alone")
-    parser.set_defaults(run=evaluate_depth)
+    _add_json_and_guard(parser, "--list", "FILE", "list of the frames, as given to data_scripts/export_depth.py")
+    parser.set_defaults(run=_evaluate_depth)
 
 
 def _add_odometry(kinds: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -67,15 +66,15 @@ def _add_odometry(kinds: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         default="7dof",
         help="how the prediction is laid on the truth before all but the snippets are scored (default: %(default)s)",
     )
-    _add_leak_guard(parser, "--sequence", "09", "KITTI odometry sequence of the poses, which tells its raw drive")
+    _add_json_and_guard(parser, "--sequence", "09", "KITTI odometry sequence of the poses, which tells its raw drive")
+    parser.set_defaults(run=_evaluate_odometry)
+
+
+def _add_json_and_guard(parser: argparse.ArgumentParser, frames: str, metavar: str, meaning: str) -> None:
+    """Add `--json`, and against leaks `--weights`, the option that names the frames, and `--allow-leak`."""
     parser.add_argument(
         "--json", metavar="OUT", help="write the numbers as flat JSON to a file, or with - to standard output alone; null: not measurable"
     )
-    parser.set_defaults(run=evaluate_odometry)
-
-
-def _add_leak_guard(parser: argparse.ArgumentParser, frames: str, metavar: str, meaning: str) -> None:
-    """Add `--weights`, the option that names the frames, and `--allow-leak`."""
     guard = parser.add_argument_group(
         "guard against leaks", f"refuses frames of drives that the network was trained on; needs both {frames}"
     )
@@ -84,12 +83,8 @@ def _add_leak_guard(parser: argparse.ArgumentParser, frames: str, metavar: str, 
     guard.add_argument("--allow-leak", action="store_true", help="score all the same, and mark the result")
 
 
-def evaluate_depth(arguments: argparse.Namespace) -> int:
-    """Score the files named by `arguments` and print or write the result.
-
-    Raises:
-        InputError: a file is missing, damaged or of the wrong shape, or the numbers of images differ.
-    """
+def _evaluate_depth(arguments: argparse.Namespace) -> int:
+    """Score a file of predictions and print or write the result."""
     from dataclasses import fields
 
     from tqdm import tqdm
@@ -143,14 +138,8 @@ def load_predictions(path: str | Path) -> "np.ndarray":
     return values
 
 
-def evaluate_odometry(arguments: argparse.Namespace) -> int:
-    """Score the files named by `arguments` and print or write the result.
-
-    What the frames cannot give, such as segments of a path below 100 m, is None in the result, and why stands on stderr.
-
-    Raises:
-        InputError: a file is missing or damaged, or the two do not fit.
-    """
+def _evaluate_odometry(arguments: argparse.Namespace) -> int:
+    """Score a trajectory; what its frames cannot give, such as segments of a path below 100 m, is None, and why stands on stderr."""
     import math
     import sys
 

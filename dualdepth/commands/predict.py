@@ -53,7 +53,7 @@ def add_predict(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     camera.add_argument("--focal", type=float, metavar="PX", help="focal length in pixels of the input, for ply")
     camera.add_argument("--fov", type=float, metavar="DEG", help="horizontal field of view, for ply (default: KITTI's 81.4 degrees)")
     parser.add_argument("--overwrite", action="store_true", help="make results again that are there")
-    parser.set_defaults(run=predict)
+    parser.set_defaults(run=_predict)
 
 
 def add_export(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -69,15 +69,11 @@ def add_export(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser.add_argument("--weights", required=True, metavar="W.safetensors", help="of a training; their card (.json) lies beside them")
     parser.add_argument("--out", required=True, metavar="DEPTH.onnx", help="file to write")
     parser.add_argument("--frames", nargs="+", default=[], metavar="IMAGE", help="compare on these images (default: three made-up ones)")
-    parser.set_defaults(run=export)
+    parser.set_defaults(run=_export)
 
 
-def predict(arguments: argparse.Namespace) -> int:
-    """Predict all inputs and say what came of it; 1 where some were broken.
-
-    Raises:
-        InputError: an input or the weights are not there, an option is out of its range, or results cannot be written.
-    """
+def _predict(arguments: argparse.Namespace) -> int:
+    """Predict all inputs and say what came of it; 1 where some were broken."""
     from dualdepth.inference.inputs import find_inputs
     from dualdepth.inference.outputs import KITTI_FIELD_OF_VIEW, Camera, Style
 
@@ -129,12 +125,8 @@ def _kinds(words: str) -> tuple[str, ...]:
     return kinds
 
 
-def export(arguments: argparse.Namespace) -> int:
-    """Export and say what was written and how near to PyTorch it is.
-
-    Raises:
-        InputError: what `export_onnx` says.
-    """
+def _export(arguments: argparse.Namespace) -> int:
+    """Export and say what was written and how near to PyTorch it is."""
     from dualdepth.inference.export import TOLERANCE, export_onnx
 
     done = export_onnx(arguments.weights, arguments.out, arguments.frames)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from dualdepth.errors import InputError
 from dualdepth.files import check_writable, locked, remove_leftovers
+from dualdepth.notebooks import run_notebook
 from dualdepth.run import ROOTS, Run, add_roots, check_roots, parse_seeds
 
 DRY = {"-n", "--dry-run", "--dryrun"}
@@ -24,7 +25,7 @@ def add_reproduce(commands: "argparse._SubParsersAction[argparse.ArgumentParser]
     parser.add_argument("--seeds", default="", metavar="0,1,2", help="seeds to train instead of the profile's")
     parser.add_argument("--cores", default="all", help="cores Snakemake may use (default: %(default)s)")
     parser.add_argument("snakemake", nargs="*", metavar="-- OPTION", help="after --: options for Snakemake, such as --executor slurm")
-    parser.set_defaults(run=reproduce)
+    parser.set_defaults(run=_reproduce)
 
 
 def add_notebook(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -33,7 +34,7 @@ def add_notebook(commands: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument("name", help="such as 03_train_lr")
     parser.add_argument("--out", required=True, metavar="FILE", help="where the executed copy goes")
     parser.add_argument("--set", nargs="*", default=[], metavar="KEY=VALUE", help="the notebook's parameters")
-    parser.set_defaults(run=notebook)
+    parser.set_defaults(run=_notebook)
 
 
 def add_train(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -42,17 +43,13 @@ def add_train(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -
     parser.add_argument("--profile", default="tiny", help="tiny, miniature, sample, paper, own, or a YAML file (default: %(default)s)")
     parser.add_argument("--variant", default="lr", help="which network (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="of initialisation, order and augmentation (default: %(default)s)")
-    parser.set_defaults(run=train)
+    parser.set_defaults(run=_train)
 
 
-def reproduce(arguments: argparse.Namespace) -> int:
-    """Become Snakemake, which runs the chain under a lock, so that two runs of one profile cannot mix; a dry run needs none.
-
-    Raises:
-        InputError: bad profile, seeds or paths, or a live run of the same profile.
-    """
+def _reproduce(arguments: argparse.Namespace) -> int:
+    """Become Snakemake, which runs the chain under a lock, so that two runs of one profile cannot mix; a dry run needs none."""
     run, dry = Run(arguments.profile), not DRY.isdisjoint(arguments.snakemake)
-    command = snakemake_command(arguments, run.profile.seeds, ["host", "progress"] if dry else ["all"])
+    command = _snakemake_command(arguments, run.profile.seeds, ["host", "progress"] if dry else ["all"])
     check_writable(run.root / ".snakemake")  # of which Snakemake, being quiet, would not say a word
     with nullcontext() if dry else locked(run.work / "lock", inherited=True):
         for folder in () if dry else (run.results, run.prepared):  # a training looks after its own
@@ -62,17 +59,8 @@ def reproduce(arguments: argparse.Namespace) -> int:
         os.execv(sys.executable, command)
 
 
-def snakemake_command(arguments: argparse.Namespace, usual_seeds: list[int], quiet: list[str]) -> list[str]:
-    """The words that start Snakemake.
-
-    Args:
-        arguments: of the command line.
-        usual_seeds: where it names none.
-        quiet: what Snakemake shall not speak of.
-
-    Raises:
-        InputError: bad seeds or paths.
-    """
+def _snakemake_command(arguments: argparse.Namespace, usual_seeds: list[int], quiet: list[str]) -> list[str]:
+    """The words that start Snakemake; `quiet` is what it shall not speak of."""
     given = {name: getattr(arguments, name) for name in ROOTS}
     check_roots(given)
     config = {
@@ -87,14 +75,7 @@ def snakemake_command(arguments: argparse.Namespace, usual_seeds: list[int], qui
     return [*command, *arguments.snakemake, "--config", *(f"{k}={v}" for k, v in config.items())]
 
 
-def notebook(arguments: argparse.Namespace) -> int:
-    """Run one notebook.
-
-    Raises:
-        InputError: a malformed or unknown parameter, or an error inside that a user can mend.
-    """
-    from dualdepth.notebooks import run_notebook
-
+def _notebook(arguments: argparse.Namespace) -> int:
     run_notebook(arguments.name, arguments.out, parse_parameters(arguments.set))
     return 0
 
@@ -114,12 +95,8 @@ def parse_parameters(pairs: list[str]) -> dict[str, int | str]:
     return parameters
 
 
-def train(arguments: argparse.Namespace) -> int:
-    """Train and say where the weights are.
-
-    Raises:
-        InputError: a negative seed, or what `train_variant` says.
-    """
+def _train(arguments: argparse.Namespace) -> int:
+    """Train and say where the weights are."""
     from dualdepth.device import is_main_process
     from dualdepth.training.variants import train_variant
 

@@ -42,12 +42,8 @@ def _files(word: str) -> list[Path]:
         candidates = [Path(name) for name in glob.glob(word, recursive=True)]
     else:
         raise InputError(f"{word}: no such file or folder; give an image, a video, a folder or a pattern in quotes")
-    usable = sorted(candidate for candidate in candidates if _is_usable(candidate))
+    usable = sorted(path for path in candidates if path.suffix.lower() in IMAGES + VIDEOS and path.is_file())
+    usable = [path for path in usable if not path.name.startswith(".") and not path.name.lower().endswith(ENDINGS)]
     if not usable:
         raise InputError(f"{word}: no images or videos there; known endings are {' '.join(IMAGES + VIDEOS)}")
     return usable
-
-
-def _is_usable(path: Path) -> bool:
-    name = path.name.lower()
-    return path.suffix.lower() in IMAGES + VIDEOS and not name.startswith(".") and not name.endswith(ENDINGS) and path.is_file()

@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+import PIL.Image
+import PIL.PngImagePlugin
 
 from dualdepth.errors import InputError
 from dualdepth.files import atomic_path
@@ -110,9 +112,6 @@ def png16(depth: np.ndarray) -> np.ndarray:
 
 
 def _save_png16(path: Path, depth: np.ndarray, style: Style) -> None:
-    import PIL.Image
-    import PIL.PngImagePlugin
-
     words = PIL.PngImagePlugin.PngInfo()
     words.add_itxt("Description", f"value / {PNG_FACTOR} = {style.unit}; 65535 = {65535 / PNG_FACTOR:.0f} or more. {style.about}")
     PIL.Image.fromarray(png16(depth)).save(path, pnginfo=words, compress_level=3)

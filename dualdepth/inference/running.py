@@ -8,7 +8,7 @@ from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import nullcontext
 from itertools import groupby, islice
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -24,7 +24,6 @@ from dualdepth.inference.pictures import Range, side_by_side
 from dualdepth.inference.videos import Writer, video_writer
 from dualdepth.model import DepthModel
 
-A, B = TypeVar("A"), TypeVar("B")
 GPU_BATCH = 16
 """Images at a time on a GPU, halved until they fit; on a CPU one at a time is as fast as several."""
 
@@ -91,7 +90,7 @@ class Predictor:
                 if item.trouble:
                     self.tell(item.trouble)
                 else:
-                    self._note(item.task, item.was, item.task.kinds)
+                    self._note(item.task, item.was)
                 bar.update()
 
     def _save(self, item: Item) -> Item:
@@ -106,22 +105,21 @@ class Predictor:
         try:
             video = Video(task.path)
         except InputError as error:
-            return self.tell(str(error))
-        singles = tuple(kind for kind in task.kinds if kind != "side")
+            self.tell(str(error))
+            return
         with video_writer(self.out / task.file("side"), video.rate) if "side" in task.kinds else nullcontext() as writer:
-            count = self._frames(task, video, singles, writer, pool, most)
+            count = self._frames(task, video, writer, pool, most)
         trouble = f"{video.missing}, and its results hold those" if video.missing else None
-        self._note(task, was, task.kinds, frames=count, **({"trouble": trouble} if trouble else {}))
+        self._note(task, was, frames=count, **({"trouble": trouble} if trouble else {}))
         if trouble:
             self.tell(f"{task.path}: {trouble}")
-        return None
 
-    def _frames(self, task: Task, video: Video, kinds: Sequence[str], writer: Writer | None, pool: Executor, most: int) -> int:
+    def _frames(self, task: Task, video: Video, writer: Writer | None, pool: Executor, most: int) -> int:
         """Predict a video's frames and write what is asked for of them; how many there were."""
 
         def drawn(numbered: tuple[int, Item, Range]) -> np.ndarray | None:
             number, item, colours = numbered
-            for kind in kinds:
+            for kind in (kind for kind in task.kinds if kind != "side"):
                 save(kind, self.out / task.file(kind, number), item.image, item.depth, self.style, colours)
             return side_by_side(item.image, item.depth, colours, self.style.unit) if writer else None
 
@@ -134,7 +132,7 @@ class Predictor:
 
         count = 0
         with _bar(video.announced, task.path.name, "frame") as bar:
-            frames = (Item(task, {}, _of_size(frame, video.size)) for _, frame in video.frames())
+            frames = (Item(task, {}, cv2.resize(frame, video.size[::-1])) for _, frame in video.frames())
             for frame in ahead(pool, drawn, coloured(self._predicted(frames)), most):
                 if writer:
                     writer.write(frame)
@@ -161,14 +159,14 @@ class Predictor:
                 self.batch_size //= 2
         return [depth * np.float32(self.style.scale) for depth in depths]
 
-    def _note(self, task: Task, was: dict[str, int], kinds: Iterable[str], **facts: int | str) -> None:
-        made = {kind: recipe(kind, self.weights, self.style) for kind in kinds}
+    def _note(self, task: Task, was: dict[str, int], **facts: int | str) -> None:
+        made = {kind: recipe(kind, self.weights, self.style) for kind in task.kinds}
         about = {"unit": self.style.unit, "about": self.style.about, "device": str(self.model.device), "precision": self.model.precision}
         self.journal.note(task.path, task.name, made, was, **about, **facts)
         self.made += 1
 
 
-def ahead(pool: Executor, work: Callable[[A], B], items: Iterable[A], most: int) -> Iterator[B]:
+def ahead(pool: Executor, work: Callable[[Any], Any], items: Iterable[Any], most: int) -> Iterator[Any]:
     """`map(work, items)` by a pool, with at most `most` items taken that were not yet given on."""
     pending = deque()
     for item in items:
@@ -185,10 +183,6 @@ def _read(task: Task) -> Item:
         return Item(task, was, read_image(task.path))
     except InputError as error:
         return Item(task, was, trouble=str(error))
-
-
-def _of_size(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    return image if image.shape[:2] == size else cv2.resize(image, size[::-1])
 
 
 def _bar(total: int | None, what: str, unit: str) -> tqdm:

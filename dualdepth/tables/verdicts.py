@@ -1,6 +1,6 @@
 """Which of the paper's numbers and claims hold: ours beside the paper's, and the rules of judgement."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -171,11 +171,11 @@ def _judge_row(row: pd.Series, lower_is_better: bool) -> Verdict:
     return verdict if verdict.word != NOT_RUN else Verdict(NOT_RUN, str(row["in_words"]).removeprefix("not compared: "))
 
 
-def _row(table: pd.DataFrame | None, where: dict[str, str]) -> pd.Series | None:
+def _row(table: pd.DataFrame | None, where: Mapping[str, str | int]) -> pd.Series | None:
     """The first row with these values; None where there is none."""
     if table is None or not set(where) <= set(table):
         return None
-    mask = np.logical_and.reduce([table[k].astype(str) == v for k, v in where.items()])
+    mask = np.logical_and.reduce([(table[k] == v) | (table[k].astype(str) == v) for k, v in where.items()])
     return table[mask].iloc[0] if mask.any() else None
 
 
@@ -184,13 +184,8 @@ class PaperRow(NamedTuple):
 
     table: str
     paper: dict[str, str]
-    ours: dict[str, str]
+    ours: dict[str, str | int]
     metrics: Sequence[str] = DEPTH
-
-    @property
-    def name(self) -> str:
-        """For a reader."""
-        return ", ".join(self.paper.values())
 
 
 _OVERHEAD = ("params_m", "gmacs", "abs_rel", "sq_rel", "rmse", "a1", "a2", "a3")
@@ -219,7 +214,7 @@ PAIRS = (
     ),
     *(PaperRow("backbone", {"backbone": name}, {"backbone": name}, _OVERHEAD[2:]) for name in ("w/ pt", "w/o pt")),
     *(
-        PaperRow("odometry", {"method": method}, {"variant": variant, "frames": "3"}, ("snippet_ate_mean_09", "snippet_ate_mean_10"))
+        PaperRow("odometry", {"method": method}, {"variant": variant, "frames": 3}, ("snippet_ate_mean_09", "snippet_ate_mean_10"))
         for method, variant in (("Ours (LR-Net)", "odometry_lr"), ("Ours (LR-Net+HR-Net)", "odometry_dual"))
     ),
 )
@@ -242,18 +237,13 @@ def compare_numbers(tables: dict[str, pd.DataFrame], judged: bool) -> pd.DataFra
     rows = []
     for pair in PAIRS:
         table = tables.get(pair.table)
-        published = _row(table[table["source"] == "paper"], pair.paper) if table is not None else None
-        ours = _row(_text_frames(table[table["source"] == "measured"]), pair.ours) if table is not None else None
-        for metric in pair.metrics:
-            if published is not None and pd.notna(published.get(metric)):
-                rows.append({"table": pair.table, "row": pair.name, "metric": metric} | _number(published, ours, metric, judged))
+        published, ours = _row(table, {"source": "paper"} | pair.paper), _row(table, {"source": "measured"} | pair.ours)
+        for metric in pair.metrics if published is not None else ():
+            if pd.notna(published.get(metric)):
+                words = {"table": pair.table, "row": ", ".join(pair.paper.values()), "metric": metric}
+                rows.append(words | _number(published, ours, metric, judged))
     columns = ["table", "row", "metric", "paper", "ours", "difference", "spread", "low", "high", "seeds", "n", "verdict", "note"]
     return pd.DataFrame(rows, columns=columns)
-
-
-def _text_frames(table: pd.DataFrame) -> pd.DataFrame:
-    """`frames` as whole numbers, so that they compare as text."""
-    return table.assign(frames=table["frames"].astype("Int64")) if "frames" in table else table
 
 
 def _number(published: pd.Series, ours: pd.Series | None, metric: str, judged: bool) -> dict[str, Any]:

@@ -118,10 +118,6 @@ def test_last_column_and_next_rows_first_column_share_a_group():
     assert reverse[3, 0] == 1 and reverse[2, 9] == 1
 
 
-def test_a_scan_without_points_in_view_gives_an_empty_map():
-    assert not lidar.depth_from_scan(np.array([[-5, 0, 0, 0]], np.float32), PROJECTION, (40, 60)).any()
-
-
 def test_map_has_the_images_size_or_else_that_of_the_calibration(tmp_path):
     scan = random_scan(0, 500)
     assert lidar.ground_truth(make_root(tmp_path / "a", scan, image=(48, 64)), FRAME).shape == (48, 64)

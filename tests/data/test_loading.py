@@ -9,18 +9,14 @@ import torch
 from small_kitti import DRIVE, write_drive
 
 from dualdepth.data.frames import resample
-from dualdepth.data.kitti import read_image
 from dualdepth.data.loading import (
     StatelessBatches,
     TripletDataset,
     augment,
-    crop_frame,
-    crop_intrinsics,
     draw_crop,
-    full_crop,
     make_loader,
 )
-from dualdepth.data.triplets import Triplet, drive_triplets, load_triplets, write_targets
+from dualdepth.data.triplets import drive_triplets, load_triplets, write_targets
 from dualdepth.errors import InputError
 from dualdepth.settings import Augmentation
 
@@ -132,16 +128,6 @@ def test_worker_processes_change_nothing(dataset):
     assert all(torch.equal(a["images"], b["images"]) for a, b in zip(alone[2:], resumed, strict=True))
 
 
-def test_grey_frames_are_read_as_colour(tmp_path):
-    paths = []
-    for i in range(3):
-        paths.append(tmp_path / f"{i}.png")
-        cv2.imwrite(str(paths[-1]), np.full((120, 120), 40 * i, np.uint8))
-    sample = TripletDataset([Triplet("grey", tuple(paths), np.eye(3))], HR, Augmentation(), seed=0)[0, 0]
-    assert read_image(paths[1]).shape == (120, 120, 3)
-    assert [image.unique().tolist() for image in sample["images"]] == [[0], [40], [80]]
-
-
 def test_frames_of_different_sizes_are_named(kitti_root, tmp_path):
     triplets = triplets_of(kitti_root, tmp_path)
     write_drive(kitti_root, [3], size=(208, 220))
@@ -190,13 +176,6 @@ def test_a_point_in_space_stays_on_its_picture(size, augment_first, flip):
     assert mirrored in (range(1, 8) if flip else [0])
 
 
-def test_ignoring_the_crop_would_be_noticed():
-    point = np.array([1.0, 0.2, 8.0])
-    images, _ = augment([picture_of(point)], K, (96, 288), Augmentation(), np.random.default_rng(3))
-    untouched = crop_intrinsics(K, full_crop(RAW), (96, 288))
-    assert np.abs(centre_of_blob(images[0]) - project(untouched, point)).max() > 1
-
-
 def test_crops_show_between_all_and_1_over_max_scale_of_the_frame_in_each_direction():
     rng = np.random.default_rng(0)
     crops = [draw_crop((375, 1242), Augmentation(max_scale=1.15), rng) for _ in range(300)]
@@ -226,21 +205,7 @@ def test_the_frames_of_a_triplet_are_shown_through_one_crop():
     assert np.array_equal(images[0], images[2])
 
 
-def test_the_draw_is_fixed_by_the_generator():
-    frame = np.random.default_rng(0).integers(0, 256, (*RAW, 3), np.uint8)
-    first, second, other = (augment([frame], K, (96, 288), Augmentation(), np.random.default_rng(s)) for s in (1, 1, 2))
-    assert np.array_equal(first[0], second[0])
-    assert np.array_equal(first[1], second[1])
-    assert not np.array_equal(first[1], other[1])
-
-
 def test_shrinking_averages_instead_of_skipping_pixels():
     stripes = np.zeros((12, 36, 3), np.uint8)
     stripes[:, ::3] = 240
     assert (resample(stripes, (4, 12)) == 80).all()
-
-
-def test_mirroring_mirrors_the_picture():
-    frame = np.random.default_rng(0).integers(0, 256, (*RAW, 3), np.uint8)
-    crop = full_crop(RAW)
-    assert np.array_equal(crop_frame(frame, crop._replace(flip=True), RAW), frame[:, ::-1])

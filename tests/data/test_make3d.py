@@ -53,11 +53,6 @@ def test_whatever_stands_alone_is_named_in_one_line(make_root):
     assert "\n" not in str(error.value)
 
 
-def test_a_grid_without_photo_is_named(make_root):
-    with pytest.raises(InputError, match=r"depth_sph_corr-x\.mat has no photo; unpack"):
-        find_pairs(make_root(photos=("a",), grids=("a", "x")))
-
-
 @pytest.mark.parametrize(
     ("folders", "message"),
     [

@@ -9,7 +9,6 @@ from data_scripts.sources import drive_archives
 from dualdepth.data import odometry
 from dualdepth.data.odometry import (
     Trajectory,
-    check_odometry_root,
     drives_of,
     frame_files,
     load_odometry_triplets,
@@ -79,23 +78,11 @@ def test_a_sequence_that_is_not_there_is_named_with_the_mend(root, entry, said):
         frame_files(root, entry)
 
 
-def test_two_frames_are_no_triplet(root):
-    write_sequence(root, "01", [0, 1, 3])
-    with pytest.raises(InputError, match="sequences/01/image_2: no three consecutive frames"):
-        write_odometry_index(root / "odometry.csv", root, ["00", "01"])
-    assert not (root / "odometry.csv").exists()
-
-
 @pytest.mark.parametrize("text", ["1 2 x\n", "1 2 3\n", "", f"P1: {IDENTITY}\n"])
 def test_a_bad_calibration_is_named(root, text):
     (root / "sequences/06/calib_p0_p1.txt").write_text(text)
     with pytest.raises(InputError, match=r"calib_p0_p1\.txt: "):
         sequence_intrinsics(root, "06:image_0")
-
-
-def test_a_folder_without_sequences_is_refused(tmp_path):
-    with pytest.raises(InputError, match=r"ODOMETRY_ROOT .*sequences"):
-        check_odometry_root(tmp_path)
 
 
 def test_an_index_that_is_none_names_the_notebook(tmp_path):
@@ -203,11 +190,8 @@ def test_long_products_of_float32_rotations_pass(tmp_path):
 BAD = {
     "empty": ("\n \n", "a.txt: empty; a KITTI pose file holds"),
     "eleven": (f"{IDENTITY}\n1 0 0 0 0 1 0 0 0 0 1\n", "line 2: 11 numbers; a KITTI pose file holds the 12"),
-    "matrix 4x4": (f"{IDENTITY} 0 0 0 1\n", "line 1: 16 numbers"),
     "tum": ("0.0 1 2 3 0 0 0 1\n", "line 1: 8 numbers, which look like TUM's position and quaternion; give KITTI's 3x4 matrices"),
-    "tum without time": ("1 2 3 0 0 0 1\n", "line 1: 7 numbers, which look like TUM's"),
     "nan": (f"{IDENTITY}\n\n1 0 0 nan 0 1 0 0 0 0 1 0\n", "line 3: NaN, infinite or beyond 1e+09"),
-    "inf": ("1 0 0 0 0 1 0 -inf 0 0 1 0\n", "line 1: NaN, infinite"),
     "overflow": ("1 0 0 0 0 1 0 1e200 0 0 1 0\n", "line 1: NaN, infinite or beyond"),
     "text": (f"{IDENTITY}\n1 0 0 x 0 1 0 0 0 0 1 0\n", "line 2: 'x' is no number"),
     "commas": (IDENTITY.replace(" ", ","), "line 1: '1,0,0,0,0,1,0,0,0,0,' is no number; a KITTI pose file holds"),
@@ -215,8 +199,6 @@ BAD = {
     "mixed, index first": (f"0 {IDENTITY}\n{IDENTITY}\n", "line 2: 12 numbers, but the first line has 13"),
     "scaled rotation": (f"{IDENTITY}\n1.01 0 0 0 0 1.01 0 0 0 0 1.01 0\n", "line 2: the left 3x4 columns are no rotation"),
     "mirrored": ("-1 0 0 0 0 1 0 0 0 0 1 0\n", "line 1: the left 3x4 columns are no rotation"),
-    "zeros": ("0 " * 12, "line 1: the left 3x4 columns are no rotation"),
-    "column by column": ("1 0 0 0 1 0 0 0 1 4 5 6\n", "line 1: the left 3x4 columns are no rotation"),
     "half a frame": (f"0 {IDENTITY}\n1.5 {IDENTITY}\n", "line 2: the frame number, the first of 13, is no integer"),
     "negative frame": (f"-1 {IDENTITY}\n", "line 1: the frame number, the first of 13, is no integer from 0 up"),
     "frame twice": (f"3 {IDENTITY}\n3 {IDENTITY}\n", "line 2: the frame number is not above the one before"),

@@ -86,11 +86,6 @@ def test_one_message_names_all_missing_files_in_one_line(root):
     assert "\n" not in message
 
 
-def test_a_whole_missing_drive_is_one_range(root):
-    message = str(missing_files_error("to train on", root, [(Frame(OTHER, i), "image_02") for i in range(5000)]))
-    assert f"5000 files to train on are missing: {OTHER}/image_02/data 0000000000-0000004999;" in message
-
-
 @pytest.mark.parametrize("suffix", [".png", ".jpg"])
 def test_written_targets_read_back_as_triplets_of_real_files(tmp_path, suffix):
     write_calibration(tmp_path, focal=100.0)

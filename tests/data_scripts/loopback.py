@@ -4,6 +4,7 @@ import contextlib
 import http.server
 import io
 import re
+import tarfile
 import threading
 import zipfile
 from collections.abc import Iterator
@@ -95,4 +96,16 @@ def zip_of(members: dict[str | zipfile.ZipInfo, bytes]) -> bytes:
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as zipped:
         for name, content in members.items():
             zipped.writestr(name, content)
+    return buffer.getvalue()
+
+
+def tar_of(members: dict[str, bytes | tarfile.TarInfo]) -> bytes:
+    """A gzipped tar of files, and of special members."""
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode="w:gz") as tar:
+        for name, content in members.items():
+            special = isinstance(content, tarfile.TarInfo)
+            info = content if special else tarfile.TarInfo(name)
+            info.size = 0 if special else len(content)
+            tar.addfile(info, None if special else io.BytesIO(content))
     return buffer.getvalue()

@@ -45,7 +45,7 @@ def lists(server, monkeypatch):
     """The field's lists on the server, shortened, with checksums to match."""
     for name, entry in sources.LISTS.items():
         monkeypatch.setitem(sources.LISTS, name, entry._replace(sha256=hashlib.sha256(EIGEN).hexdigest()))
-        server.files[f"{entry.homes[0]}/{entry.path}"] = EIGEN
+        server.files[entry.path] = EIGEN
 
 
 def run(server, root, *arguments):
@@ -81,10 +81,6 @@ def test_a_drive_comes_with_its_calibration_and_nothing_else_is_left(server, tmp
     assert f"2/2 {DRIVE}.zip: 100%" in said
     assert "B/s]" in said
     assert f"KITTI_ROOT={tmp_path}" in said
-
-
-def test_a_second_run_asks_the_network_nothing(server, tmp_path, capsys):
-    run(server, tmp_path, DRIVE)
     server.requests.clear()
     assert run(server, tmp_path, DRIVE) == 0
     assert server.requests == []
@@ -101,13 +97,6 @@ def test_cameras_that_are_not_wanted_are_left_out_and_can_be_added(server, tmp_p
     run(server, tmp_path, DRIVE, "--cameras", "image_00")
     assert json.loads((drive / ".complete.json").read_text())["cameras"] == ["image_00", "image_02", "image_03"]
     assert {path for _, path, _, _ in server.requests} == {DRIVE_ADDRESS}
-
-
-def test_a_drive_whose_folder_was_deleted_comes_again(server, tmp_path):
-    run(server, tmp_path, DRIVE)
-    shutil.rmtree(tmp_path / DAY / DRIVE)
-    run(server, tmp_path, DRIVE)
-    assert (tmp_path / DAY / DRIVE / "image_02" / "data" / "0000000000.png").is_file()
 
 
 def test_a_cut_download_is_taken_up_by_the_next_run(server, tmp_path, capsys):
@@ -145,20 +134,11 @@ def test_an_archive_that_does_not_exist_is_told_before_anything_is_downloaded(se
     assert server.sent == []
 
 
-@pytest.mark.parametrize(
-    ("spoil", "expected"),
-    [
-        (lambda content: content[:-100], "not a whole zip"),
-        (lambda content: content.replace(b"laser scan", b"laser SCAN"), "Bad CRC-32"),
-        (lambda content: loopback.zip_of({"../evil": b"evil"}), "points outside of the folder"),
-    ],
-)
-def test_a_bad_archive_is_refused_and_comes_anew_the_next_time(server, tmp_path, capsys, spoil, expected):
+def test_a_bad_archive_is_refused_and_comes_anew_the_next_time(server, tmp_path, capsys):
     good = server.files[DRIVE_ADDRESS]
-    server.files[DRIVE_ADDRESS] = spoil(good)
+    server.files[DRIVE_ADDRESS] = good.replace(b"laser scan", b"laser SCAN")
     message = fails(server, tmp_path, capsys, DRIVE)
-    assert expected in message
-    assert "run again to get it anew" in message
+    assert "Bad CRC-32" in message and "run again to get it anew" in message
     assert files(tmp_path) == [f"{DAY}/.calib.complete.json", f"{DAY}/calib_cam_to_cam.txt"]
     server.files[DRIVE_ADDRESS] = good
     assert run(server, tmp_path, DRIVE) == 0
@@ -180,12 +160,6 @@ def test_odometry_is_laid_out_as_odometry_root_and_depth_below_its_own_folder(se
         "odometry/sequences/09/calib.txt",
         "odometry/sequences/09/image_2/000000.png",
     ]
-
-
-def test_a_wrong_checksum_ends_the_run(server, tmp_path, capsys):
-    server.files["data_depth_annotated.zip"] = loopback.zip_of({"val/x.png": b"other"})
-    assert "wrong checksum, md5 is" in fails(server, tmp_path, capsys, "--improved-depth")
-    assert files(tmp_path) == []
 
 
 def test_lists_only(server, lists, tmp_path):
@@ -218,18 +192,13 @@ def test_a_train_list_stands_for_its_two_halves(server, lists, tmp_path, monkeyp
     [
         (["2011_09_26_drive_95"], "drive '2011_09_26_drive_95': expected a name like"),
         (["--profile", "nothing"], "profile 'nothing' not found"),
+        (["--profile", "tiny"], "profile tiny makes its own data"),
         (["--lists-only"], "eigen/test_files.txt: not there (HTTP 404)"),
     ],
 )
 def test_mistakes_end_in_one_line(server, tmp_path, capsys, arguments, expected):
     assert expected in fails(server, tmp_path, capsys, *arguments)
     assert files(tmp_path) == []
-
-
-def test_a_profile_that_makes_its_own_data_needs_no_download(server, tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    Path("toy.yaml").write_text("about: a test\nworld: {}\ndata: {source: miniature}\n")
-    assert "profile toy makes its own data" in fails(server, tmp_path / "kitti", capsys, "--profile", "toy.yaml")
 
 
 def test_a_root_that_cannot_be_a_folder_is_told(server, tmp_path, capsys):

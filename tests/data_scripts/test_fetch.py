@@ -9,7 +9,7 @@ import pytest
 from loopback import running
 
 import data_scripts.fetch as module
-from data_scripts.fetch import ChecksumError, NotThereError, fetch, remote_size
+from data_scripts.fetch import fetch, remote_size
 from dualdepth.errors import InputError
 
 CONTENT = bytes(range(256)) * 8192  # 2 MiB
@@ -95,7 +95,7 @@ def test_a_failing_server_is_asked_again(server, tmp_path):
 
 
 def test_a_wrong_checksum_is_told_and_leaves_nothing(server, tmp_path):
-    with pytest.raises(ChecksumError, match="wrong checksum, md5 is"):
+    with pytest.raises(InputError, match="wrong checksum, md5 is"):
         get(server, tmp_path, digest="md5:" + "0" * 32)
     assert left_over(tmp_path) == []
 
@@ -112,7 +112,7 @@ def test_a_file_that_is_there_is_verified_without_the_network(server, tmp_path):
 
 def test_a_missing_file_is_told_at_once(server, tmp_path):
     for action in (lambda: fetch(f"{server.home}nothing", tmp_path / "nothing"), lambda: remote_size(f"{server.home}nothing")):
-        with pytest.raises(NotThereError, match=r"nothing: not there \(HTTP 404\)"):
+        with pytest.raises(InputError, match=r"nothing: not there \(HTTP 404\)"):
             action()
     assert len(server.requests) == 2
     assert left_over(tmp_path) == []

@@ -1,7 +1,6 @@
 """The written world: KITTI's layout and formats read by the readers of real KITTI, the same bytes twice, made once."""
 
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -18,6 +17,7 @@ from data_scripts.miniature.plan import plan_world
 from dualdepth.data import kitti
 from dualdepth.data.lidar import ground_truth
 from dualdepth.errors import InputError
+from dualdepth.files import locked
 from dualdepth.settings import World
 
 REPOSITORY = Path(__file__).parents[2]
@@ -119,18 +119,6 @@ def test_camera_stands_still_where_the_static_list_says_and_nowhere_else(root):
         assert len(places) == WORLD.frames_per_drive and still | {k + 1 for k in still} == {k for name, k in static if name == drive}
 
 
-def test_calibration_has_kittis_keys_and_field_of_view(root):
-    day = root / "kitti_raw" / formats.DATE
-    cameras = kitti.read_calibration(day / "calib_cam_to_cam.txt")
-    assert cameras["S_rect_02"].tolist() == [152, 48]
-    for key, size in (("P_rect_00", 12), ("P_rect_02", 12), ("R_rect_00", 9), ("R_rect_02", 9), ("K_02", 9), ("D_02", 5)):
-        kitti.calibration_entry(cameras, key, size, day)
-    matrix = kitti.intrinsics(root / "kitti_raw", formats.DATE)
-    assert matrix[0, 0] == matrix[1, 1] == pytest.approx(0.58 * 152)
-    velo = kitti.read_calibration(day / "calib_velo_to_cam.txt")
-    assert abs(velo["T"] - [0, -0.08, -0.27]).max() < 0.01
-
-
 def test_odometry_sequences_have_frames_poses_and_a_test_path_longer_than_250_m(root):
     for name, test in (("00", False), ("09", True)):
         sequence = root / "kitti_odometry" / "sequences" / name
@@ -182,11 +170,6 @@ def test_other_seeds_give_other_streets_on_their_side_only(least, tmp_path):
     assert not {name for name in pictures if "_drive_00" in name} & changed
 
 
-def test_training_and_test_streets_must_differ():
-    with pytest.raises(ValueError, match="both 3"):
-        World(train_seed=3, test_seed=3)
-
-
 def test_world_that_is_there_is_not_made_again_and_another_one_is_replaced(least, tmp_path, capsys):
     out = tmp_path / "w"
     out.mkdir()
@@ -197,13 +180,12 @@ def test_world_that_is_there_is_not_made_again_and_another_one_is_replaced(least
     assert make_miniature.make_world(fewer, out, progress=False, processes=1)
     assert not list(out.rglob("*.mat"))
     assert json.loads((out / "world.json").read_text())["settings"]["make3d_images"] == 0
-    assert [path.name for path in tmp_path.iterdir()] == ["w"]
+    assert {path.name for path in tmp_path.iterdir()} == {"w", ".w.lock"}
 
 
 def test_failure_leaves_the_old_world_and_nothing_half_written(least, tmp_path, monkeypatch):
     out = tmp_path / "w"
-    (tmp_path / ".w.999999999.part" / "rest").mkdir(parents=True)  # of a killed run; no process has this number
-    (tmp_path / f".w.{os.getppid()}.part").mkdir()  # of a run that is still going on
+    (tmp_path / ".w.part" / "rest").mkdir(parents=True)  # of a killed run
     make_miniature.make_world(LEAST, out, progress=False, processes=1)
     before = contents(out)
 
@@ -214,7 +196,9 @@ def test_failure_leaves_the_old_world_and_nothing_half_written(least, tmp_path, 
     with pytest.raises(OSError, match="disk full"):
         make_miniature.make_world(LEAST.model_copy(update={"make3d_images": 0}), out, progress=False, processes=1)
     assert contents(out) == before
-    assert {path.name for path in tmp_path.iterdir()} == {"w", f".w.{os.getppid()}.part"}
+    assert {path.name for path in tmp_path.iterdir()} == {"w", ".w.lock"}
+    with locked(tmp_path / ".w.lock"), pytest.raises(InputError, match="held by process"):
+        make_miniature.make_world(LEAST, out, progress=False, processes=1)
 
 
 def test_folder_with_something_else_is_refused_and_kept(tmp_path):

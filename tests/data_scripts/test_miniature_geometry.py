@@ -124,16 +124,6 @@ def test_depth_reaches_from_three_metres_to_beyond_eighty(scene, poses):
     assert np.histogram(depths, [3, 6, 10, 20, 40, 80])[0].min() > 0.03 * depths.size
 
 
-def test_slim_poles_are_lost_at_a_third_of_the_size(scene, poses):
-    widths = []
-    for pose in poses[::8]:
-        pole = render_geometry(scene, pose, K, SIZE, 0.0)[1][:100] == solids.POLE
-        edges = np.diff(np.pad(pole, ((0, 0), (1, 1))).astype(int), axis=1)
-        widths += (np.nonzero(edges == -1)[1] - np.nonzero(edges == 1)[1]).tolist()
-    slim = [width for width in widths if 2 <= width < 6]  # 2 px wide here, less than 2 px at a third
-    assert len(slim) > 100
-
-
 def test_supersampling_matters_and_converges(scene, poses):
     one, two, four = (render_image(scene, poses[20], K, SIZE, n, 0.0).astype(float) for n in (1, 2, 4))
     assert abs(one - four).mean() > 1.5 * abs(two - four).mean() > 0.3
@@ -158,18 +148,6 @@ def test_laser_points_agree_with_dense_depth_through_the_calibration_files(tmp_p
         error = (abs(around - z[seen]) / z[seen]).min(0)
         assert (error < 0.03).mean() > 0.96
         assert np.median(abs(around[4] - z[seen]) / z[seen]) < 0.01
-
-
-def test_scan_looks_like_one_of_a_64_beam_scanner(scene, poses):
-    scan = laser_scan(scene, poses[5], formats.LASER_TO_CAMERA, 0.0, azimuth_step=0.35, seed=(1,))
-    reach = np.linalg.norm(scan[:, :3], axis=1)
-    elevation = np.degrees(np.arcsin(scan[:, 2] / reach))
-    assert scan.dtype == np.float32
-    assert reach.max() < 121
-    assert -25.0 < elevation.min() < -24
-    assert elevation.max() < 2.2
-    assert (scan[:, 0] > 0).all()
-    assert ((scan[:, 3] >= 0) & (scan[:, 3] <= 1)).all()
 
 
 def test_street_coordinates_invert_places():

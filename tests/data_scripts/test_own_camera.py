@@ -60,26 +60,6 @@ def test_the_chain_reads_it_as_it_reads_kitti_but_has_no_truth(folder, tmp_path,
     assert [depth.shape for depth in truth(run)] == [SIZE] * 4 and not any(depth.any() for depth in truth(run))
 
 
-def test_other_frames_in_the_same_folder_are_other_data_to_train_on(folder, tmp_path, run):
-    own_camera.make([folder], tmp_path / "out", **GIVEN)
-    prepare_data.find_data(run, str(tmp_path / "out"))
-    prepare_data.prepare(run)
-    before = (run.prepared / "identity.json").read_bytes()
-    (tmp_path / "out").rename(tmp_path / "before")
-    write_frames(folder, [frame(k + 3) for k in range(40)])
-    own_camera.make([folder], tmp_path / "out", **GIVEN)
-    prepare_data.prepare(run)
-    assert (run.prepared / "identity.json").read_bytes() != before
-
-
-def test_a_cut_makes_two_drives_and_no_triplet_spans_it(tmp_path, run):
-    film = write_frames(tmp_path / "film", [frame(k, seed=2 * (k >= 20)) for k in range(40)])
-    made = own_camera.make([film], tmp_path / "out", **GIVEN)
-    assert len(images(made.root, TRAIN)) == 20 and made.record["frames"]["cuts"] == 1
-    prepare_data.find_data(run, str(made.root))
-    assert prepare_data.prepare(run).triplets == 18 + 11 == made.record["triplets"]
-
-
 def test_a_video_becomes_jpeg_frames_with_an_estimate_that_is_said_to_be_one(tmp_path, capsys):
     video = write_video(tmp_path / "film.mp4", [frame(k) for k in range(40)])
     assert own_camera.main([str(video), "--out", str(tmp_path / "out"), "--fov", "64", "--held-out", "6"]) == 0
@@ -120,7 +100,7 @@ def test_a_folder_with_something_else_is_left_alone(folder, tmp_path):
 def test_nothing_is_left_of_a_run_that_fails_and_a_killed_one_is_redone(folder, tmp_path, monkeypatch):
     remains = tmp_path / ".out.part/2000_01_01"
     remains.mkdir(parents=True)
-    monkeypatch.setattr(dataset, "write_lists", lambda *_: 1 / 0)
+    monkeypatch.setattr(dataset, "write_texts", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         own_camera.make([folder], tmp_path / "out", **GIVEN)
     assert not (tmp_path / "out").exists() and not (tmp_path / ".out.part").exists()
@@ -135,10 +115,10 @@ def test_a_failed_check_is_one_line_and_anyway_makes_it_all_the_same(tmp_path, c
     with pytest.raises(SystemExit) as stopped:
         own_camera.main(call)
     said = capsys.readouterr().err
-    assert stopped.value.code == 2 and said.count("\n") == 1 and "motion: the picture moves by" in said and "--anyway" in said
+    assert stopped.value.code == 2 and said.count("\n") == 1 and "speed: the picture moves by" in said and "--anyway" in said
     assert not (tmp_path / "out").exists()
     own_camera.main([*call, "--anyway"])
-    assert "warning: motion: FAILED" in capsys.readouterr().out
+    assert "warning: speed: FAILED" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

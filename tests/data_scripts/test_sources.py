@@ -1,22 +1,13 @@
 """The manifest of public addresses, and the field's lists."""
 
-import hashlib
 import shutil
 
 import pytest
-from loopback import running
 
 from data_scripts import sources
 from data_scripts.sources import LISTS, drive_archives, named_list
 from dualdepth.data.kitti import read_frame_list, read_static_frames, read_test_scenes
 from dualdepth.errors import InputError
-
-
-@pytest.fixture
-def server(monkeypatch):
-    monkeypatch.setenv("no_proxy", "127.0.0.1")
-    with running() as loopback:
-        yield loopback
 
 
 def test_each_days_calibration_comes_once_before_its_drives():
@@ -35,16 +26,6 @@ def test_a_misspelt_drive_is_told(drive):
         drive_archives([drive])
 
 
-def test_a_list_falls_back_to_its_second_home(server, tmp_path, monkeypatch):
-    text = b"2011_09_26/2011_09_26_drive_0052_sync 0000000003 l\n"
-    entry = sources.FieldList(("gone", "there"), "list.txt", hashlib.sha256(text).hexdigest())
-    monkeypatch.setitem(LISTS, "eigen_test", entry)
-    server.files["there/list.txt"] = text
-    assert named_list("eigen_test", tmp_path, server.home).read_bytes() == text
-    named_list("eigen_test", tmp_path, server.home)
-    assert len(server.requests) == 2  # the second home's answer is cached
-
-
 def test_an_unknown_list_names_the_known_ones(tmp_path):
     with pytest.raises(InputError, match=r"choose one of eigen_test, .*sample_test"):
         named_list("eigen", tmp_path)
@@ -53,8 +34,10 @@ def test_an_unknown_list_names_the_known_ones(tmp_path):
 @pytest.fixture
 def cached_lists(real, tmp_path):
     for name, entry in LISTS.items():
-        origin = "sfmlearner" if entry.homes == sources.SFMLEARNER else "monodepth2"
-        shutil.copy(real("splits") / origin / entry.path, tmp_path / f"{name}.txt")
+        home, origin = sources.MONODEPTH2, "monodepth2"
+        if entry.path.startswith(sources.SFMLEARNER):
+            home, origin = sources.SFMLEARNER, "sfmlearner"
+        shutil.copy(real("splits") / origin / entry.path.removeprefix(f"{home}/"), tmp_path / f"{name}.txt")
     return tmp_path
 
 

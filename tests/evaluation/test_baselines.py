@@ -1,7 +1,5 @@
 """Baselines without learning: means of sparse maps by hand, left-out drives by fitting again."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -11,7 +9,6 @@ from dualdepth.errors import InputError
 from dualdepth.evaluation.baselines import BASELINES, GRID, depth_sums, leave_one_drive_out, mean_depth, predict
 from dualdepth.evaluation.depth import evaluate, summary
 
-REAL = Path(__file__).parents[3] / "shared" / "data"
 SPARSE = [
     np.array([[0.0, 0, 0, 0], [4, 0, 0, 90], [10, 0, 20, 0]]),
     np.array([[0.0, 0, 0, 0], [8, 0, 0, 0], [0, 0, 40, 0]]),
@@ -35,13 +32,6 @@ def test_maps_of_several_sizes_share_the_grid():
     np.testing.assert_allclose(mean_depth(sums_of([small, large]), "mean_map"), np.full((3, 4), (10 + 4 * 20) / 5))
 
 
-@pytest.mark.parametrize("baseline", BASELINES)
-def test_predictions_have_any_size_and_are_positive(baseline):
-    prediction = predict(sums_of(SPARSE), baseline, (30, 47))
-    assert prediction.shape == (30, 47) and prediction.dtype == np.float32
-    assert prediction.min() > 0
-
-
 def test_a_world_with_the_same_depth_in_each_row_is_predicted_exactly():
     world = np.repeat(np.linspace(70, 5, 24)[:, None], 32, axis=1)
     maps = [np.where(np.random.default_rng(seed).random(world.shape) < 0.3, world, 0) for seed in range(4)]
@@ -58,6 +48,7 @@ def test_leaving_a_drive_out_equals_fitting_on_the_others(baseline):
     left_out = leave_one_drive_out(maps, drives, baseline, grid=(6, 8), max_depth=80)
     for depth, drive, prediction in zip(maps, drives, left_out):
         others = [m for m, d in zip(maps, drives) if d != drive]
+        assert prediction.shape == depth.shape and prediction.dtype == np.float32 and prediction.min() > 0
         np.testing.assert_allclose(prediction, predict(sums_of(others, (6, 8)), baseline, depth.shape), rtol=1e-6)
 
 
@@ -70,12 +61,10 @@ def test_baselines_refuse_what_they_cannot_fit():
         leave_one_drive_out(SPARSE, ["a", "a"], "constant", grid=GRID, max_depth=80)
 
 
-def test_real_frames_score_near_other_real_frames():
+def test_real_frames_score_near_other_real_frames(real):
     """46 other frames: constant 0.486/0.265, per-row mean 0.234/0.635, mean map 0.210/0.716 (Abs Rel / δ<1.25)."""
-    if not REAL.is_dir():
-        pytest.skip("no real KITTI frames beside the repository (../shared/data)")
-    frames = read_frame_list(REAL / "splits" / "sample_val.txt")
-    maps = [ground_truth(REAL / "kitti_raw", frame) for frame in frames]
+    frames = read_frame_list(real("splits/sample_val.txt"))
+    maps = [ground_truth(real("kitti_raw"), frame) for frame in frames]
     expected = {"constant": (0.486, 0.265), "row_mean": (0.234, 0.635), "mean_map": (0.210, 0.716)}
     for baseline, (abs_rel, a1) in expected.items():
         predictions = leave_one_drive_out(maps, [frame.drive for frame in frames], baseline, grid=GRID, max_depth=80)

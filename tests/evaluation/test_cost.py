@@ -89,12 +89,7 @@ def test_latency_runs_in_the_precision_that_was_asked_for(precision, computed):
     assert set(net.dtypes) == {(torch.float32, torch.float32, computed, computed)}
     assert len(net.dtypes) == 4  # the warm-up, two timed runs, and the one whose memory is watched
     assert measured.median_ms > 0
-
-
-def test_latency_in_bf16_leaves_no_autocast_behind_and_the_weights_as_they_were():
-    net = Watched()
-    latency(net, torch.zeros(1, 3, 8, 8), repeats=1, warmup=0, precision="bf16")
-    assert net.conv(torch.zeros(1, 3, 8, 8)).dtype == torch.float32
+    assert net.conv(torch.zeros(1, 3, 8, 8)).dtype == torch.float32  # no autocast is left behind
     assert net.conv.weight.dtype == torch.float32 and net.conv.weight.requires_grad
 
 

@@ -120,12 +120,8 @@ def test_the_far_share_is_of_all_pixels_not_the_mean_of_images():
     small[0, 0] = large[0, :7] = 50
     frame = evaluate_near_far([np.ones((2, 2))] * 2, [small, large], crop="none")
     assert far_share(frame) == pytest.approx(8 / 102)
-
-
-def test_the_far_share_is_zero_or_one_where_a_part_is_missing_everywhere():
-    for depth, share in ((8.0, 0), (50.0, 1)):
-        assert far_share(evaluate_near_far([np.ones((2, 2))], [np.full((4, 4), depth)], crop="none")) == share
-    assert math.isnan(far_share(evaluate_near_far([np.ones((2, 2))], [np.full((4, 4), 8.0)], crop="none").iloc[:0]))
+    assert far_share(frame.query("distance == @NEAR")) == 0 and far_share(frame.query("distance == @FAR")) == 1
+    assert math.isnan(far_share(frame.iloc[:0]))
 
 
 def test_an_empty_or_unequal_input_is_one_clear_error():

@@ -18,29 +18,19 @@ RAW_33 = "2011_09_30/2011_09_30_drive_0033_sync"
 CARD = {"drives": ["2011_09_26/2011_09_26_drive_0001_sync", RAW_33]}
 
 
-def test_other_drives_pass_silently():
-    assert check_leak(CARD, ["2011_09_26/2011_09_26_drive_0002_sync"], allow=False) == ""
-    assert check_leak(CARD, [], allow=False) == ""
-
-
-def test_a_leak_is_refused_by_name_with_the_mend():
+def test_a_leak_is_refused_by_name_with_the_mend_or_marks_the_result_and_other_drives_pass():
     with pytest.raises(InputError, match=r"model\.safetensors: was trained on .*drive_0033_sync.*--allow-leak"):
         check_leak(CARD, [RAW_33], allow=False, weights="model.safetensors")
-
-
-def test_an_allowed_leak_marks_the_result():
     assert check_leak(CARD, [RAW_33, "other"], allow=True) == f"LEAK: trained on {RAW_33}"
+    assert check_leak(CARD, ["2011_09_26/2011_09_26_drive_0002_sync"], allow=False) == check_leak(CARD, [], allow=False) == ""
+    with pytest.raises(InputError, match="does not say which drives"):
+        check_leak({}, [RAW_33], allow=False)
 
 
 def test_odometry_sequence_09_is_an_eigen_training_drive():
     with pytest.raises(InputError, match="drive_0033"):
         check_leak(CARD, drives_of(["09"], world=False), allow=False)
     check_leak(CARD, drives_of(["09"], world=True), allow=False)
-
-
-def test_a_card_without_drives_cannot_be_trusted():
-    with pytest.raises(InputError, match="does not say which drives"):
-        check_leak({}, [RAW_33], allow=False)
 
 
 @pytest.fixture
@@ -92,17 +82,18 @@ def test_sequences_of_the_world_are_guarded_too_and_must_be_named_well(scored, c
     assert said in capsys.readouterr().err
 
 
-def test_a_list_of_other_frames_guards_nothing(scored, capsys):
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        (DEPTH, "list.txt: lists 1 frames but G.npz holds 2"),
+        (DEPTH[:-2], "--weights and --list guard together"),
+        (DEPTH[:-4] + DEPTH[-2:], "--weights and --list guard together"),
+    ],
+    ids=["a list of other frames", "no list", "no weights"],
+)
+def test_half_a_guard_guards_nothing(scored, capsys, command, said):
     weights([])
     Path("list.txt").write_text("2011_09_26/2011_09_26_drive_0001_sync 0000000000 l\n")
     with pytest.raises(SystemExit):
-        main(DEPTH)
-    assert "list.txt: lists 1 frames but G.npz holds 2" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("option", ["--weights", "--list"])
-def test_one_option_without_the_other_guards_nothing(scored, capsys, option):
-    at = DEPTH.index(option)
-    with pytest.raises(SystemExit):
-        main(DEPTH[:at] + DEPTH[at + 2 :])
-    assert "--weights and --list guard together" in capsys.readouterr().err
+        main(command)
+    assert said in capsys.readouterr().err

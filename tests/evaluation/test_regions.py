@@ -83,11 +83,8 @@ def test_images_with_too_few_pixels_of_a_region_have_no_row_for_it():
     assert counted[0] == [(0, ROAD), (0, GREEN), (1, ROAD), (1, GREEN), (3, ROAD)]
     assert counted[1] == [(0, ROAD), (1, ROAD), (1, GREEN)]
     assert counted[2] == [(0, ROAD)]
-
-
-def test_images_without_a_valid_pixel_keep_the_places_of_the_others():
-    depth, labels = np.full((20, 40), 10.0), np.zeros((20, 40), np.uint8)
-    assert list(evaluate_regions([depth] * 3, [depth, 0 * depth, depth], [labels] * 3).index) == [(0, ROAD), (2, ROAD)]
+    unknown = evaluate_regions([truth] * 2, [0 * truth, truth], labels[:2], crop="none")
+    assert list(unknown.index) == [(1, ROAD), (1, GREEN)]  # the others keep their places
 
 
 def test_a_region_that_is_the_whole_image_scores_as_the_image():
@@ -105,8 +102,6 @@ def test_bad_input_is_one_clear_error():
         evaluate_regions([depth] * 2, [depth] * 2, [labels, labels[:, 1:]])
     with pytest.raises(InputError, match="2 predictions, 2 ground truths and 1 label maps; give one of each"):
         evaluate_regions([depth] * 2, [depth] * 2, [labels])
-    with pytest.raises(InputError, match="1 predictions, 2 ground truths"):
-        evaluate_regions([depth], [depth] * 2, [labels] * 2)
     with pytest.raises(InputError, match="image 1: the depth holds NaN"):
         evaluate_regions([depth, depth * np.nan], [depth] * 2, [labels] * 2)
     with pytest.raises(InputError, match=r"none of the 1 images has 1 valid pixel of Road or Tree & grass; check the label maps"):

@@ -33,12 +33,6 @@ def test_a_constant_gain_on_hard_and_easy_images_is_certain():
     np.testing.assert_allclose(result, [0.01] * 3, rtol=1e-9)
 
 
-def test_the_seed_fixes_the_interval():
-    a, b = np.random.default_rng(0).random((2, 30))
-    assert paired_bootstrap(a, b, seed=4) == paired_bootstrap(a, b, seed=4)
-    assert paired_bootstrap(a, b, seed=4) != paired_bootstrap(a, b, seed=5)
-
-
 @pytest.mark.parametrize("a, b", [([1, 2], [1, 2, 3]), ([1], [1]), ([1, math.nan], [1, 2]), ([[1, 2]], [[1, 2]])])
 def test_values_that_are_no_pairs_are_refused(a, b):
     with pytest.raises(InputError, match="paired bootstrap"):
@@ -79,13 +73,8 @@ def test_the_interval_is_over_images_of_the_seeds_mean_difference():
     half = 1.96 * difference.std() / 20
     assert result.low == pytest.approx(difference.mean() - half, abs=0.1 * half)
     assert result.high == pytest.approx(difference.mean() + half, abs=0.1 * half)
-    assert compare(difference + noise, np.zeros((2, 400)), seed=3)[3:5] != result[3:5]
-
-
-def test_one_seed_has_no_spread_and_no_verdict_over_seeds():
-    result = compare([[0.2, 0.3, 0.4]], [[0.1, 0.1, 0.1]])
-    assert math.isnan(result.spread) and result.seeds == 1
-    assert result.clear_of_seeds is None and result.clear_of_images
+    again = [compare(difference + noise, np.zeros((2, 400)), seed=3)[3:5] for _ in range(2)]
+    assert again[0] == again[1] != result[3:5]
 
 
 @pytest.mark.parametrize(
@@ -105,11 +94,6 @@ def test_clear_of_seeds_means_that_zero_is_outside_students_interval(seeds, quan
         assert bool(Comparison(0.1, 0.1, sign * factor * limit, 0.0, 0.0, 0.02, seeds).clear_of_seeds) is clear
 
 
-def test_three_seeds_are_clear_from_two_and_a_half_spreads_on():
-    assert not Comparison(0.1, 0.1, 2.47, 0.0, 0.0, 1.0, 3).clear_of_seeds
-    assert Comparison(0.1, 0.1, 2.50, 0.0, 0.0, 1.0, 3).clear_of_seeds
-
-
 def test_students_interval_is_the_one_scipy_makes_of_the_seeds_differences():
     from scipy.stats import ttest_1samp
 
@@ -123,17 +107,24 @@ def test_students_interval_is_the_one_scipy_makes_of_the_seeds_differences():
     assert verdicts == {True, False}
 
 
+def test_one_seed_has_no_spread_and_no_verdict_over_seeds():
+    result = compare([[0.2, 0.3, 0.4]], [[0.1, 0.1, 0.1]])
+    assert math.isnan(result.spread) and result.seeds == 1
+    assert result.clear_of_seeds is None and result.clear_of_images
+
+
 @pytest.mark.parametrize(
-    ("a", "b"), [([[1, 2]], [[1, 2], [1, 2]]), ([[1, 2, 3]], [[1, 2]]), ([1, 2], [1, 2]), ([[[1, 2]]], [[[1, 2]]]), ([], [])]
+    ("a", "b", "said"),
+    [
+        ([[1, 2]], [[1, 2], [1, 2]], "comparison: shapes"),
+        ([[1, 2, 3]], [[1, 2]], "comparison: shapes"),
+        ([1, 2], [1, 2], "comparison: shapes"),
+        ([[1, math.nan], [1, 2]], [[1, 2], [1, 2]], "finite"),
+    ],
 )
-def test_trainings_of_other_shapes_cannot_be_compared(a, b):
-    with pytest.raises(InputError, match="comparison: shapes"):
+def test_trainings_of_other_shapes_or_without_numbers_cannot_be_compared(a, b, said):
+    with pytest.raises(InputError, match=said):
         compare(a, b)
-
-
-def test_values_that_are_not_finite_cannot_be_compared():
-    with pytest.raises(InputError, match="finite"):
-        compare([[1, math.nan], [1, 2]], [[1, 2], [1, 2]])
 
 
 def test_runs_of_neighbours_widen_the_interval_of_values_that_depend_on_each_other():
@@ -145,11 +136,7 @@ def test_runs_of_neighbours_widen_the_interval_of_values_that_depend_on_each_oth
     assert single.high - single.low == pytest.approx(expected / 5, rel=0.1)
     assert block.high - block.low == pytest.approx(expected, rel=0.3)
     assert single.difference == block.difference == pytest.approx(slow.mean())
-
-
-def test_a_run_as_long_as_the_data_has_no_spread():
-    result = paired_bootstrap([1.0, 2.0, 6.0], [0.0, 0.0, 0.0], seed=0, block=9)
-    assert result == pytest.approx((3.0, 3.0, 3.0))
+    assert paired_bootstrap([1.0, 2.0, 6.0], [0.0] * 3, seed=0, block=9) == pytest.approx((3.0, 3.0, 3.0))  # one run is all there is
 
 
 def test_blocks_are_circular_runs():

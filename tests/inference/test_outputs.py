@@ -20,24 +20,18 @@ def depth():
     return np.geomspace(1.6, 1000, 40 * 60, dtype=np.float32).reshape(40, 60)
 
 
-def test_the_png_is_kittis_and_says_so(depth, tmp_path):
+def test_the_png_is_kittis_and_says_so_and_the_array_is_the_depth(depth, tmp_path):
+    save("npy", tmp_path / "d.npy", wall(40, 60), depth, STYLE)
+    assert np.array_equal(np.load(tmp_path / "d.npy"), depth)
     save("depth", tmp_path / "d.png", wall(40, 60), depth, STYLE)
     read = cv2.imread(str(tmp_path / "d.png"), cv2.IMREAD_UNCHANGED)
     assert (read.dtype, read.shape) == (np.uint16, depth.shape)
     near = depth < 255.9
     np.testing.assert_allclose(read[near] / 256, depth[near], atol=1 / 512 + 1e-6)
     assert (read[depth > 256] == 65535).all()
+    assert png16(np.float32([1e-5, 1e9])).tolist() == [1, 65535]  # 0 means none
     with PIL.Image.open(tmp_path / "d.png") as image:
         assert image.text["Description"] == f"value / 256 = relative depth; 65535 = 256 or more. {STYLE.about}"
-
-
-def test_no_depth_becomes_zero_which_means_none():
-    assert png16(np.float32([1e-5, 1e9])).tolist() == [1, 65535]
-
-
-def test_the_array_is_the_depth(depth, tmp_path):
-    save("npy", tmp_path / "d.npy", wall(40, 60), depth, STYLE)
-    assert np.array_equal(np.load(tmp_path / "d.npy"), depth)
 
 
 def read_ply(path):
@@ -68,7 +62,6 @@ def test_intrinsics_not_given_are_a_stated_default():
     fx, fy, cx, cy = Camera().of((375, 1242))
     assert (fx, cx, cy) == (pytest.approx(721.5377, rel=1e-6), 620.5, 187.0)
     assert fx == fy
-    assert str(Camera()) == "horizontal field of view 81.4 degrees by default, as KITTI's, principal point in the middle"
     assert Camera(field_of_view=90).of((10, 200))[0] == pytest.approx(100)
     assert Camera(focal=33).of((10, 21)) == (33, 33, 10, 4.5)
 
@@ -107,7 +100,3 @@ def test_nothing_half_written_is_left(kind, tmp_path, depth, monkeypatch):
     with pytest.raises(OSError, match="no space"):
         save(kind, tmp_path / f"d{SUFFIXES[kind]}", wall(40, 60), depth, STYLE)
     assert not list(tmp_path.iterdir())
-
-
-def test_a_scale_is_said():
-    assert [Style("").unit, Style("", 2.5).unit] == ["relative depth", "relative depth x2.5"]

@@ -30,25 +30,18 @@ def make_run(tmp_path):
 
 @pytest.fixture(autouse=True)
 def cards(monkeypatch):
-    """What the cards of trainings say that have no weights, by variant; what is not given there is usual."""
+    """What the cards of trainings say that have no weights, by variant or by variant and seed; what is not given there is usual."""
     given, real = {}, rows.load_card
     usual = {"encoder": "resnet18", "pretrained": False, "steps": 100, "starts_from": None, "drives": []}
-    monkeypatch.setattr(rows, "load_card", lambda w: real(w) if w.with_suffix(".json").is_file() else usual | given.get(w.parts[-3], {}))
-    return given
 
-
-@pytest.fixture(autouse=True)
-def steps_of(cards, monkeypatch):
-    """Steps that the cards of trainings say, by variant or by variant and seed; 100 where nothing is said."""
-    steps, card = {}, rows.load_card
-
-    def counted(weights):
+    def card(weights):
+        if weights.with_suffix(".json").is_file():
+            return real(weights)
         variant, seed = weights.parts[-3], int(weights.parts[-2].removeprefix("seed"))
-        said = steps.get((variant, seed), steps.get(variant))
-        return card(weights) | ({} if said is None else {"steps": said})
+        return usual | given.get(variant, {}) | given.get((variant, seed), {})
 
-    monkeypatch.setattr(rows, "load_card", counted)
-    return steps
+    monkeypatch.setattr(rows, "load_card", card)
+    return given
 
 
 @pytest.fixture

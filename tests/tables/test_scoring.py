@@ -132,16 +132,6 @@ def test_frames_of_an_own_camera_are_predicted_but_not_scored(run, monkeypatch):
     assert depth.shape == (12, 20) and np.median(depth) == pytest.approx(10, rel=0.01)
 
 
-def test_each_training_has_its_own_files(run):
-    run.weights("dual", 3).parent.mkdir(parents=True)
-    run.weights("dual", 3).write_bytes(b"7")
-    write_json(run.weights("dual", 3).with_suffix(".json"), {"drives": []})
-    lr, dual = Predictions(run, "lr", 0), Predictions(run, "dual", 3)
-    assert run.predicted == [b"1", b"7"]
-    assert not np.array_equal(lr.disparities, dual.disparities)
-    assert run.training("lr", 0) != run.training("dual", 3)
-
-
 @pytest.mark.parametrize(("variant", "notebook"), [("lr", "03_train_lr"), ("lr_scratch", "03_train_lr"), ("dual", "04_train_hr")])
 def test_a_training_that_is_not_there_names_its_notebook_variant_and_seed(run, variant, notebook):
     with pytest.raises(InputError, match=f"model.safetensors is missing: run notebook {notebook}, variant {variant}, seed 4, with profile"):

@@ -175,7 +175,7 @@ def test_whatever_shapes_the_scores_makes_them_anew(run, tmp_path, monkeypatch, 
     assert json.loads(stamp.read_text())["photos"]
 
 
-def test_examples_show_the_band_with_depth_in_metres(run):
+def test_examples_show_the_band_with_depth_in_metres_where_it_is_scored(run, tmp_path):
     examples = make3d_examples(run, "dual", 0, count=2, size=(21, 305))
     assert examples.titles == ["img-0.jpg", "img-2.jpg"]
     for number, image, truth, prediction in zip((0, 2), *examples[:3]):
@@ -185,9 +185,6 @@ def test_examples_show_the_band_with_depth_in_metres(run):
     enlarged = make3d_examples(run, "dual", 0, count=2, size=(42, 610))
     assert {values.shape[:2] for part in enlarged[:3] for values in part} == {(42, 610)}
     np.testing.assert_array_equal(enlarged.truths[1][1::2, 1::2], grid(2)[ROWS])
-
-
-def test_cells_that_are_not_scored_show_nothing(run, tmp_path):
-    write_grid(tmp_path / "photos", 0, np.where(np.arange(305) < 100, 70, 5))
+    write_grid(tmp_path / "photos", 0, np.where(np.arange(305) < 100, 70, 5))  # cells at 70 m are not scored
     truth = make3d_examples(run, "dual", 0, count=1, size=(21, 305)).truths[0]
     assert (truth[:, :100] == 0).all() and (truth[:, 100:] == 5).all()

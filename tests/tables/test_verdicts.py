@@ -25,19 +25,13 @@ def number(ours, paper=0.100, spread=np.nan, seeds=1, digit=0.001, lower=True):
     return judge_number(paper, ours, spread=spread, seeds=seeds, digit=digit, lower_is_better=lower).word
 
 
-def test_two_percent_is_reproduced():
+def test_two_percent_half_of_the_last_digit_and_what_is_better_are_reproduced():
     assert number(0.102) == REPRODUCED
     assert number(0.1021) == NOT_REPRODUCED
     assert number(1.02 * 16.43, paper=16.43, digit=0.01, lower=None) == REPRODUCED
     assert number(0.97 * 16.43, paper=16.43, digit=0.01, lower=None) == NOT_REPRODUCED
-
-
-def test_half_of_the_last_digit_is_reproduced():
     assert number(0.0075, paper=0.008) == number(0.0085, paper=0.008) == REPRODUCED
     assert number(0.0087, paper=0.008) == NOT_REPRODUCED
-
-
-def test_better_than_the_paper_is_reproduced_in_the_metrics_own_direction():
     assert number(0.05) == REPRODUCED and number(0.05, lower=False) == NOT_REPRODUCED
     assert number(0.5, lower=False) == REPRODUCED and number(0.05, lower=None) == NOT_REPRODUCED
 
@@ -64,19 +58,14 @@ def test_a_claim_needs_the_sign_and_both_intervals():
     assert claim(np.nan, 0.005).word == NOT_RUN
 
 
-def test_every_pair_names_a_row_of_the_paper_and_its_metrics():
-    for pair in PAIRS:
-        row = verdicts._row(paper.table(pair.table), pair.paper)
-        assert row is not None, pair
+@pytest.mark.parametrize("name", paper.TABLES)
+def test_every_row_of_the_paper_that_is_its_own_has_a_pair_with_its_metrics(name):
+    table, pairs = paper.table(name), [pair for pair in PAIRS if pair.table == name]
+    rows = [verdicts._row(table, pair.paper) for pair in pairs]
+    own = {"main": [0, 14], "make3d": [8], "sharpness": [1], "odometry": [6, 7]}.get(name, range(len(table)))
+    assert {row.name for row in rows} == set(own)
+    for pair, row in zip(pairs, rows):
         assert pair.metrics == ("ratio",) or all(pd.notna(row[m]) for m in pair.metrics if m != "rmse_log"), pair
-
-
-def test_every_row_of_the_paper_that_is_its_own_has_a_pair():
-    for name in paper.TABLES:
-        table, pairs = paper.table(name), [p for p in PAIRS if p.table == name]
-        own = {"main": [0, 14], "make3d": [8], "sharpness": [1], "odometry": [6, 7]}.get(name, range(len(table)))
-        found = {verdicts._row(table, pair.paper).name for pair in pairs}
-        assert found == set(own), name
 
 
 def ablation(**ours):
@@ -84,15 +73,12 @@ def ablation(**ours):
     return pd.concat([paper.table("ablation"), pd.DataFrame(rows)], ignore_index=True)
 
 
-def test_numbers_stand_beside_the_papers_with_their_interval():
+def test_numbers_stand_beside_the_papers_with_their_interval_or_the_reason_why_not():
     table = compare_numbers({"ablation": ablation(abs_rel=0.14, abs_rel_std=0.01)}, judged=True)
     row = table.query("row == 'Baseline (LR-Net only)' and metric == 'abs_rel'").iloc[0]
     assert row["paper"] == 0.132 and row["ours"] == 0.14 and row["seeds"] == "0 1 2"
     assert row["high"] - row["low"] == pytest.approx(2 * 4.3027 * 0.01 / 3**0.5, rel=1e-3)
     assert row["difference"] == pytest.approx(0.008) and row["verdict"] == WITHIN_NOISE
-
-
-def test_what_was_not_run_says_why():
     table = compare_numbers({"ablation": ablation(note="not run: no GPU")}, judged=True)
     assert set(table.query("row == 'Baseline (LR-Net only)'")["verdict"]) == {"not run: no GPU"}
 
@@ -119,12 +105,8 @@ def test_snippets_are_counted_for_their_own_sequence():
 
 
 def test_numbers_are_judged_only_where_asked():
-    backbone = pd.concat(
-        [
-            paper.table("backbone"),
-            pd.DataFrame([{"backbone": "ResNet18", "params_m": 16.313, "gmacs": 99.0, "abs_rel": 0.5, "source": "measured"}]),
-        ]
-    )
+    ours = {"backbone": "ResNet18", "params_m": 16.313, "gmacs": 99.0, "abs_rel": 0.5, "source": "measured"}
+    backbone = pd.concat([paper.table("backbone"), pd.DataFrame([ours])])
     table = compare_numbers({"backbone": backbone}, judged=False).query("row == 'ResNet18'").set_index("metric")
     assert table["verdict"][["params_m", "gmacs", "abs_rel"]].isna().all() and table["verdict"]["a1"] == "not run: no number"
     assert table.loc["params_m", "difference"] == pytest.approx(16.313 - 16.43)
@@ -132,26 +114,27 @@ def test_numbers_are_judged_only_where_asked():
     assert table["params_m"] == REPRODUCED and table["gmacs"] == NOT_REPRODUCED
 
 
-def claims_table(**row):
-    return pd.DataFrame([{"a": "dual", "b": "lr", "metric": "abs_rel", "mean_a": 0.1, "mean_b": 0.2, "n": 9, "in_words": "words", **row}])
+def claims_table(difference, low, high, spread=0.001, seeds=3, **row):
+    pair = {"a": "dual", "b": "lr", "metric": "abs_rel", "mean_a": 0.1, "mean_b": 0.2, "n": 9, "in_words": "words"}
+    return pd.DataFrame([pair | {"difference": difference, "low": low, "high": high, "spread": spread, "seeds": seeds} | row])
 
 
-def test_a_claim_is_judged_by_its_row():
-    row = claims_table(difference=-0.1, low=-0.2, high=-0.05, spread=0.001, seeds=3)
-    table = judge_claims({"ablation_claims": row})
+def test_a_claim_is_judged_by_its_row_or_says_why_not():
+    table = judge_claims({"ablation_claims": claims_table(-0.1, -0.2, -0.05)})
     first = table.iloc[0]
     assert first["claim"] == CLAIMS[0].text and first["metric"] == "abs_rel" and first["verdict"] == REPRODUCED
     assert (table["verdict"].iloc[1:].str.startswith("not run: ")).all()
+    row = claims_table(*5 * [np.nan], metric="", in_words="not run: why not")
+    assert judge_claims({"ablation_claims": row})["verdict"].iloc[0] == "not run: why not"
+    assert judge_claims({})["verdict"].iloc[0] == "not run: no comparison was made"
 
 
 @pytest.mark.parametrize(
     ("far", "verdict"), [((-0.1, -0.2, -0.05), REPRODUCED), ((0.02, 0.01, 0.03), NOT_REPRODUCED), ((-0.1, -0.2, 0.1), WITHIN_NOISE)]
 )
 def test_to_gain_more_far_away_is_nothing_without_a_gain(far, verdict):
-    gain = claims_table(difference=0.04, low=0.03, high=0.05, spread=0.001, seeds=3).assign(
-        a="gain of dual, > 20 m", distance="far against near"
-    )
-    part = claims_table(difference=far[0], low=far[1], high=far[2], spread=0.001, seeds=3).assign(distance="> 20 m")
+    gain = claims_table(0.04, 0.03, 0.05, a="gain of dual, > 20 m", distance="far against near")
+    part = claims_table(*far, distance="> 20 m")
     table = judge_claims({"distance_claims": pd.concat([gain, part])}).set_index("claim")
     assert table.loc["The gain is largest far away", "verdict"] == verdict
 
@@ -162,11 +145,3 @@ def test_every_row_and_claim_is_found_in_the_tables_of_the_last_published_run():
     numbers = compare_numbers(tables, judged=True)
     assert len(numbers) > 100 and not numbers["verdict"].astype(str).str.contains("no row of ours").any()
     assert not judge_claims(tables)["verdict"].str.contains("no comparison was made").any()
-
-
-def test_a_claim_that_could_not_be_compared_says_why():
-    row = claims_table(difference=np.nan, low=np.nan, high=np.nan, spread=np.nan, seeds=np.nan, metric="").assign(
-        in_words="not run: why not"
-    )
-    assert judge_claims({"ablation_claims": row})["verdict"].iloc[0] == "not run: why not"
-    assert judge_claims({})["verdict"].iloc[0] == "not run: no comparison was made"

@@ -75,10 +75,6 @@ def test_an_estimate_from_the_field_of_view_is_a_pinholes_and_says_that_it_is_on
     assert wide.origin.startswith("ESTIMATED")
 
 
-def test_numbers_are_taken_as_they_are():
-    assert np.allclose(camera_of_numbers("290,285,163,117", SIZE).matrix, TRUE)
-
-
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -140,8 +136,3 @@ def test_kittis_calibration_of_frames_of_another_size_is_refused(tmp_path):
     assert camera_of_file(path, (375, 1242)).matrix[0, 0] == 721
     with pytest.raises(InputError, match="is of 1242×375 pixels, the frames have 640×193"):
         camera_of_file(path, (193, 640))
-
-
-def test_the_calibration_of_real_sequence_06_is_read(real):
-    grey = camera_of_file(real("kitti_odometry/sequences/06/calib_p0_p1.txt"), (370, 1226))
-    assert grey.matrix[0, 0] == pytest.approx(707.0912) and grey.field == pytest.approx(81.8, abs=0.1)

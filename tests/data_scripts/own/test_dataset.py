@@ -3,8 +3,7 @@
 import pytest
 import yaml
 
-from data_scripts.own.dataset import PIXELS, drive_name, fitting_size, profile_text, read_record
-from data_scripts.sources import DATES
+from data_scripts.own.dataset import PIXELS, fitting_size, profile_text, read_record
 from dualdepth.errors import InputError
 from dualdepth.profile import Profile, load_profile
 
@@ -48,10 +47,6 @@ def test_the_frames_of_an_own_camera_are_named_by_its_data_set():
     profile = load_profile("own").model_dump()
     with pytest.raises(ValueError, match="not for source: own"):
         Profile.model_validate(profile | {"data": profile["data"] | {"train_drives": ["2000_01_01/x"]}})
-
-
-def test_its_drives_are_never_taken_for_kittis():
-    assert drive_name(7) == "2000_01_01/2000_01_01_drive_0007_sync" and "2000_01_01" not in DATES
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"camera": {"width": 0, "height": 5}, "made_from": "a"}', '{"camera": 3}'])
