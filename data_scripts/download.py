@@ -67,6 +67,8 @@ def download(
 ) -> int:
     """Download and unpack into `root` what is not there yet, and return the number of archives that were missing.
 
+    An archive's marker is written last; a bad archive is deleted, so that the next run gets it anew.
+
     Args:
         archives, root, home: all that is wanted, the folder to fill, and the address that theirs are relative to.
         cameras, check: what to unpack, and how to look at what came.
@@ -86,25 +88,20 @@ def download(
             bar.set_description(f"{number}/{len(pending)} {archive.name}")
             path = root / "archives" / archive.name
             fetch(home + archive.address, path, digest=archive.digest, bar=bar, if_offline=if_offline)
-            install(archive, path, root, cameras, check)
+            place, look = functools.partial(archive.place, cameras=cameras), functools.partial(check, archive, path)
+            try:
+                with progress(desc=f"unpacking {archive.name}", unit="B", unit_scale=True, leave=False, position=1) as unpacking:
+                    facts = unpack(path, root / archive.folder, place, unpacking, check=look)
+            except BadArchiveError as error:
+                path.unlink()
+                raise InputError(f"{error}; the archive is deleted, run again to get it anew") from None
+            there = sorted((before[archive] or set()) | set(cameras)) if archive.images else []
+            write_json(root / archive.marker, {"archive": archive.address, "cameras": there} | facts)
             if not keep_archives:
                 path.unlink()
     with contextlib.suppress(OSError):  # not empty: archives that were to be kept
         (root / "archives").rmdir()
     return len(pending)
-
-
-def install(archive: Archive, path: Path, root: Path, cameras: Sequence[str], check: Check) -> None:
-    """Unpack an archive and write its marker last; a bad archive is deleted, so that the next run gets it anew."""
-    place, look = functools.partial(archive.place, cameras=cameras), functools.partial(check, archive, path)
-    try:
-        with progress(desc=f"unpacking {archive.name}", unit="B", unit_scale=True, leave=False, position=1) as bar:
-            facts = unpack(path, root / archive.folder, place, bar, check=look)
-    except BadArchiveError as error:
-        path.unlink()
-        raise InputError(f"{error}; the archive is deleted, run again to get it anew") from None
-    there = sorted((unpacked_cameras(archive, root) or set()) | set(cameras)) if archive.images else []
-    write_json(root / archive.marker, {"archive": archive.address, "cameras": there} | facts)
 
 
 def run_script(main: Callable[[], int]) -> NoReturn:

@@ -10,18 +10,8 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
+from data_scripts import sources
 from data_scripts.download import download, run_script
-from data_scripts.sources import (
-    CAMERAS,
-    IMPROVED_DEPTH,
-    KITTI_HOME,
-    LISTS,
-    LISTS_HOME,
-    ODOMETRY,
-    drive_archives,
-    named_list,
-    profile_drives,
-)
 from dualdepth.errors import exit_on_input_error
 from dualdepth.files import check_writable
 from dualdepth.profile import load_profile
@@ -41,7 +31,7 @@ Stop it at any time: the same command goes on from there. The data are for non-c
 """
 
 
-def main(argv: Sequence[str] | None = None, *, kitti_home: str = KITTI_HOME, lists_home: str = LISTS_HOME) -> int:
+def main(argv: Sequence[str] | None = None, *, kitti_home: str = sources.KITTI_HOME, lists_home: str = sources.LISTS_HOME) -> int:
     """Run the command line; 0 when everything is there. Other homes than the public ones are for tests.
 
     Raises:
@@ -60,25 +50,26 @@ def main(argv: Sequence[str] | None = None, *, kitti_home: str = KITTI_HOME, lis
     add("--improved-depth", action="store_true", help="the improved ground truth, data_depth_annotated (14 GB)")
     add("--lists-only", action="store_true", help="the field's lists of frames and nothing else")
     wanted = "unpack only these, such as image_02 image_03"
-    add("--cameras", nargs="+", choices=CAMERAS, default=CAMERAS, metavar="CAMERA", help=wanted)
+    add("--cameras", nargs="+", choices=sources.CAMERAS, default=sources.CAMERAS, metavar="CAMERA", help=wanted)
     add("--keep-archives", action="store_true", help="keep the zip files, in DIR/archives; else each goes once unpacked")
     given = parser.parse_args(argv)
     if not (given.drives or given.profile or given.odometry or given.improved_depth or given.lists_only):
         parser.error("nothing to download: name drives, or give --profile, --odometry, --improved-depth or --lists-only")
     root, lists, drives = given.root, given.root / "lists", list(given.drives)
     with exit_on_input_error():
-        drive_archives(drives)  # a misspelt name is told before anything is fetched
+        sources.drive_archives(drives)  # a misspelt name is told before anything is fetched
         profile = load_profile(given.profile) if given.profile else None
         check_writable(root)
         if profile:
-            drives += profile_drives(profile, lists, lists_home)
+            drives += sources.profile_drives(profile, lists, lists_home)
         if profile or given.lists_only:
-            for name in LISTS:
-                named_list(name, lists, lists_home)
-            print(f"{len(LISTS)} lists in {lists}")
+            for name in sources.LISTS:
+                sources.named_list(name, lists, lists_home)
+            print(f"{len(sources.LISTS)} lists in {lists}")
         if given.lists_only:
             return 0
-        archives = drive_archives(drives) + list(ODOMETRY) * given.odometry + [IMPROVED_DEPTH] * given.improved_depth
+        archives = sources.drive_archives(drives) + list(sources.ODOMETRY) * given.odometry
+        archives += [sources.IMPROVED_DEPTH] * given.improved_depth
         fetched = download(archives, root, kitti_home, cameras=given.cameras, keep_archives=given.keep_archives)
         print(f"{len(archives)} archives unpacked, {fetched} of them now")
         if drives:

@@ -60,7 +60,11 @@ def load_segmenter(model: str, *, revision: str, device: str | None, allow_pickl
     place, shared = choose_device(device or default_device()), {"revision": revision, "trust_remote_code": False}
     try:
         config = AutoConfig.from_pretrained(model, **shared)
-        check_classes(model, config.id2label)
+        classes = [str(config.id2label[i]) for i in sorted(config.id2label)]
+        if tuple(re.sub("[-_]", " ", name.lower()) for name in classes) != CITYSCAPES:
+            shown = ", ".join(classes[: len(CITYSCAPES)]) + ", …" * (len(classes) > len(CITYSCAPES))
+            needed = f"Cityscapes' {len(CITYSCAPES)} in order: {', '.join(CITYSCAPES)}"
+            raise InputError(f"{model}: has the {len(classes)} classes {shown}; needed are {needed}")
         processor = AutoImageProcessor.from_pretrained(model, backend="pil", **shared)
         network, loading = AutoModelForSemanticSegmentation.from_pretrained(
             model, use_safetensors=None if allow_pickle else True, dtype="float32", output_loading_info=True, **shared
@@ -72,19 +76,6 @@ def load_segmenter(model: str, *, revision: str, device: str | None, allow_pickl
         raise InputError(f"{model}: has no weights for {sorted(loading['missing_keys'])[0]}; give a model trained on Cityscapes")
     versions = {"revision": getattr(config, "_commit_hash", None), "transformers": transformers.__version__}
     return Segmenter(network.eval().to(place), processor, {"model": model, "weights_sha256": weights_digest(network), **versions})
-
-
-def check_classes(name: str, id2label: dict[int, str]) -> None:
-    """Refuse a model whose classes are not the training ids'.
-
-    Raises:
-        InputError: naming the classes.
-    """
-    classes = tuple(str(id2label[i]) for i in sorted(id2label))
-    if tuple(re.sub("[-_]", " ", c.lower()) for c in classes) != CITYSCAPES:
-        shown = ", ".join(classes[: len(CITYSCAPES)]) + ", …" * (len(classes) > len(CITYSCAPES))
-        needed = f"Cityscapes' {len(CITYSCAPES)} in order: {', '.join(CITYSCAPES)}"
-        raise InputError(f"{name}: has the {len(classes)} classes {shown}; needed are {needed}")
 
 
 def weights_digest(model: "torch.nn.Module") -> str:

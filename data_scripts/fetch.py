@@ -44,7 +44,6 @@ def remote_size(address: str, if_offline: str = IF_OFFLINE) -> int:
     Raises:
         InputError: no network, no such file, or a server that does not say.
     """
-
     with _with_retries(lambda: _open(address, method="HEAD"), address, if_offline) as response:
         size = response.headers["Content-Length"]
     if size is None:
@@ -197,11 +196,7 @@ def _version(response: http.client.HTTPResponse) -> str:
 
 
 def _with_retries(action: Callable[[], Any], address: str, if_offline: str, progress: Callable[[], int] = lambda: 0) -> Any:
-    """The result of `action`, tried again with growing pauses while connections break; bytes that came reset the count.
-
-    Raises:
-        InputError: it breaks too often, or cannot be mended by waiting.
-    """
+    """The result of `action`, tried again with growing pauses while connections break; bytes that came reset the count."""
     failures, before, host = 0, progress(), urllib.parse.urlsplit(address).netloc
     while True:
         try:

@@ -36,8 +36,7 @@ def make_world(world: World, out: str | Path, progress: bool = True, processes: 
     """Make a world in the folder `out`, unless it is there.
 
     Args:
-        world: the settings.
-        out: folder; a world in it that was made otherwise is replaced.
+        world, out: the settings, and the folder; a world in it that was made otherwise is replaced.
         progress: whether to show a progress bar.
         processes: number of worker processes, None for one a core; 1 works in this one. The result is the same.
 

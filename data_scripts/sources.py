@@ -58,8 +58,7 @@ def named_list(name: str, cache_dir: str | Path, home: str = LISTS_HOME) -> Path
     """Local path of a field's list, downloaded once; a copy that is there already is verified too.
 
     Args:
-        name: a key of `LISTS` or `DERIVED`.
-        cache_dir: folder that holds, or will hold, `<name>.txt`.
+        name, cache_dir: a key of `LISTS` or `DERIVED`, and the folder that holds, or will hold, `<name>.txt`.
         home: another server in place of the public one (tests).
 
     Raises:

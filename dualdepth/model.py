@@ -98,7 +98,8 @@ class DepthModel(ModelHubMixin):
     @property
     def about(self) -> str:
         """That depth is relative, and what it was learned from, in one line."""
-        learned = f"Learned by {self.card['about']}." if self.card.get("about") else "The card does not say what these weights were learned from."
+        learned = self.card.get("about")
+        learned = f"Learned by {learned}." if learned else "The card does not say what these weights were learned from."
         start = " The encoder began with ImageNet weights." if self.card.get("pretrained") else ""
         return f"Depth is relative: its unit is unknown. {learned}{start}"
 

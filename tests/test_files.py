@@ -45,11 +45,12 @@ def held(tmp_path):
 
 
 def test_a_file_appears_under_its_name_only_when_it_is_whole(tmp_path):
-    with atomic_path(tmp_path / "deep" / "seed0.txt") as partial:
-        partial.write_text("half")
+    with atomic_path(tmp_path / "deep" / "seed0.npy") as partial:
+        np.save(partial, np.arange(3))  # which chooses by the suffix
         assert not list((tmp_path / "deep").glob("seed*"))
         assert partial.name.startswith(".")
-    assert [p.name for p in (tmp_path / "deep").iterdir()] == ["seed0.txt"]
+    assert [p.name for p in (tmp_path / "deep").iterdir()] == ["seed0.npy"]
+    assert np.load(tmp_path / "deep" / "seed0.npy").tolist() == [0, 1, 2]
 
 
 def test_a_failure_leaves_the_file_before_it_and_nothing_else(tmp_path):
@@ -60,12 +61,6 @@ def test_a_failure_leaves_the_file_before_it_and_nothing_else(tmp_path):
         raise KeyboardInterrupt
     assert path.read_text() == "old"
     assert [p.name for p in tmp_path.iterdir()] == ["a.txt"]
-
-
-def test_the_suffix_is_kept_for_writers_that_choose_by_it(tmp_path):
-    with atomic_path(tmp_path / "a.npy") as partial:
-        np.save(partial, np.arange(3))
-    assert np.load(tmp_path / "a.npy").tolist() == [0, 1, 2]
 
 
 def test_two_writers_do_not_share_an_unfinished_file(tmp_path):

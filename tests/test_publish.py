@@ -26,7 +26,7 @@ def results_of(project):
 
     def make(profile, dirty=()):
         run = Run(profile)
-        for file in ("tables/main.csv", "tables/ablation.csv", "figures/overview.png", "notebooks/05.ipynb"):
+        for file in ("tables/main.csv", "tables/ablation.csv", "figures/main_depth.png", "notebooks/05.ipynb"):
             path = run.results / file
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(f"of {file}")
@@ -43,7 +43,7 @@ def published(project, profile="tiny"):
 
 
 TABLES = {"tables/main.csv", "tables/main.json", "tables/ablation.csv", "tables/ablation.json"}
-FIGURES = {"figures/overview.png", "figures/overview.json"}
+FIGURES = {"figures/main_depth.png", "figures/main_depth.json"}
 
 
 def test_tables_and_figures_of_a_made_world_are_kept_with_their_stamps_and_older_ones_go(project, results_of):
@@ -63,7 +63,7 @@ def test_pictures_of_real_frames_stay_out(project, results_of):
     assert published(project, "own") == TABLES
 
 
-@pytest.mark.parametrize("dirty", [("main",), ("overview",), ("ablation", "overview")])
+@pytest.mark.parametrize("dirty", [("main",), ("main_depth",), ("ablation", "main_depth")])
 def test_results_of_code_that_was_not_committed_are_refused_by_name(project, results_of, dirty):
     results_of("tiny")
     publish_results("tiny")
@@ -71,7 +71,7 @@ def test_results_of_code_that_was_not_committed_are_refused_by_name(project, res
     results_of("tiny", dirty)
     with pytest.raises(InputError, match="were made by code that was not committed; commit it and run again") as error:
         publish_results("tiny")
-    named = {name for name in ("main", "ablation", "overview") if f"{name}.json" in str(error.value)}
+    named = {name for name in ("main", "ablation", "main_depth") if f"{name}.json" in str(error.value)}
     assert named == set(dirty) and "\n" not in str(error.value)
     assert (project / "results/published/tiny/tables/main.csv").read_text() == "kept"
 

@@ -44,6 +44,8 @@ def test_it_runs_everything_once_then_only_what_a_change_makes_stale(chain):
     assert chain.ran() == sorted([*pages, *trainings(0), *TABLES])
     assert {line.split()[0] for line in chain.ran()} == {path.stem for path in (project_root() / "notebooks").glob("*.ipynb")}
     assert chain() == []
+    # how often the log is written: nothing
+    assert chain(change=("{encoder: resnet18", "{log_every: 6, encoder: resnet18")) == []
     # another protocol: the tables alone
     assert chain(change=("world:", "evaluation: {crop: none}\nworld:")) == TABLES
     # stage 2's settings: stage 2, the first page, which shows it, and the tables
@@ -61,13 +63,18 @@ def test_it_runs_everything_once_then_only_what_a_change_makes_stale(chain):
     assert ran == sorted([*pages, *(t for t in trainings(0, 1) if "resnet18" not in t), *TABLES])
 
 
-def test_how_often_the_log_is_written_makes_nothing_stale(chain):
-    assert chain(change=("resnet18}", "resnet18, log_every: 6}")) == []
-
-
-def test_seed_zero_alone_can_be_asked_for_in_a_profile_of_several(fresh):
-    ran = fresh("seeds=0", change=("about:", "seeds: [0, 1, 2]\nabout:"))
-    assert [name for name in ran if name.startswith(("03", "04"))] == trainings(0)
+@pytest.mark.parametrize(
+    ("config", "change", "trained"),
+    [
+        (["seeds=0"], ("about:", "seeds: [0, 1, 2]\nabout:"), 3),
+        ([], ("train: {lr: , dual: , resnet18: }", "train: {lr: }"), 1),
+    ],
+    ids=["seed 0 of a profile of several", "stage 1 alone"],
+)
+def test_a_part_of_the_trainings_has_all_tables(fresh, config, change, trained):
+    ran = fresh(*config, change=change)
+    assert [name for name in ran if name.startswith(("03", "04"))] == trainings(0)[:trained]
+    assert set(TABLES) <= set(ran)
 
 
 def test_other_frames_to_score_leave_the_weights_where_they_are(chain, tmp_path):
@@ -75,12 +82,6 @@ def test_other_frames_to_score_leave_the_weights_where_they_are(chain, tmp_path)
     weights.write_text("learned")
     chain(change=("source: miniature", "source: miniature, baseline_frames: 3"))
     assert weights.read_text() == "learned"
-
-
-def test_a_profile_that_trains_stage_1_alone_has_its_tables(fresh):
-    ran = fresh(change=("train: {lr: , dual: , resnet18: }", "train: {lr: }"))
-    assert [name for name in ran if name.startswith(("03", "04"))] == trainings(0)[:1]
-    assert set(TABLES) <= set(ran)
 
 
 ODOMETRY = ("train: {lr: , dual: , resnet18: }", "train: {lr: , odometry_lr: }")

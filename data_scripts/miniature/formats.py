@@ -51,10 +51,7 @@ def calibration_texts(size: tuple[int, int]) -> dict[str, str]:
         cameras += _line(f"R_rect_{camera}", R_RECT) + _line(f"P_rect_{camera}", projection, "%.9e")
     stamp = "calib_time: 27-Oct-2019 09:00:00\n"
     laser = stamp + _line("R", LASER_R) + _line("T", LASER_T) + _line("delta_f", [0, 0]) + _line("delta_c", [0, 0])
-    return {
-        "calib_cam_to_cam.txt": stamp + cameras,
-        "calib_velo_to_cam.txt": laser,
-    }
+    return {"calib_cam_to_cam.txt": stamp + cameras, "calib_velo_to_cam.txt": laser}
 
 
 def odometry_calibration_text(size: tuple[int, int]) -> str:

@@ -133,20 +133,17 @@ def calibrate(views: Iterable[tuple[str, np.ndarray]], squares: tuple[int, int],
                 corners.append(found.reshape(-1, 1, 2).astype(np.float32))
                 break
     if len(corners) < BOARDS:
-        raise InputError(
-            f"{what}: the whole board of {squares[0]}x{squares[1]} was found in {len(corners)} of {seen} views, {BOARDS} are needed; check"
-            " --squares, and film the board sharp, flat, tilted each way, with a white margin, wholly in sight"
-        )
+        found = f"the whole board of {squares[0]}x{squares[1]} was found in {len(corners)} of {seen} views, {BOARDS} are needed"
+        mend = "check --squares, and film the board sharp, flat, tilted each way, with a white margin, wholly in sight"
+        raise InputError(f"{what}: {found}; {mend}")
     pattern = patterns[0]
     board = np.zeros((pattern[0] * pattern[1], 3), np.float32)
     board[:, :2] = np.mgrid[: pattern[0], : pattern[1]].T.reshape(-1, 2)
     error, matrix, distortion, *_ = cv2.calibrateCamera([board] * len(corners), corners, size[::-1], None, None)
     most = REPROJECTION * max(1.0, size[1] / 1000)
     if not error <= most:
-        raise InputError(
-            f"{what}: the corners are off by {error:.2f} pixels (RMS), at most {most:.2f} is taken; use a flat board, sharp views and a"
-            " lens that neither zooms nor stabilises"
-        )
+        mend = "use a flat board, sharp views and a lens that neither zooms nor stabilises"
+        raise InputError(f"{what}: the corners are off by {error:.2f} pixels (RMS), at most {most:.2f} is taken; {mend}")
     origin = f"chessboard, {pattern[0]}x{pattern[1]} inner corners in {len(corners)} of {seen} views, RMS error {error:.3f} pixels"
     return validate(Camera(matrix, size, origin, tuple(float(v) for v in distortion.ravel())), what)
 

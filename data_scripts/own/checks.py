@@ -143,14 +143,16 @@ def examine(footages: Sequence[Footage], focal: float, stride: int | None = None
     Args:
         footages: of one camera.
         focal: focal length as a share of the frame's width.
-        stride: take every n-th frame; None: so many that the median flow is about `AIM`.
+        stride: take every n-th frame; None: so many that the median flow comes to about `AIM`, but not above it.
 
     Raises:
         InputError: a frame cannot be read, or is of another size.
     """
     pairs = list(measured(footages, focal, stride or 1))
-    if stride is None and (stride := fitting_stride(pairs)) > 1:
-        pairs = list(measured(footages, focal, stride))
+    if stride is None:
+        flows = [p.motion.flow for p in pairs if p.motion and p.motion.same_place and p.motion.flow > NOISE]
+        stride = int(np.clip(AIM / np.median(flows), 1, MOST_STRIDE)) if flows else 1
+        pairs = list(measured(footages, focal, stride)) if stride > 1 else pairs
     drives, counts = cut_at_breaks(pairs)
     moved = [p.motion for p in pairs if p.motion and p.motion.same_place and not p.motion.static]
     values = np.array(moved, float).reshape(-1, 3)
@@ -170,12 +172,6 @@ def measured(footages: Sequence[Footage], focal: float, stride: int) -> Iterator
                     yield Neighbours(place, last, number, motion(copy, image, focal) if number - last == stride else None)
                 last, copy = number, image
                 bar.update()
-
-
-def fitting_stride(pairs: Sequence[Neighbours]) -> int:
-    """Stride at which the median flow of neighbours that move comes to about `AIM`, but not above it."""
-    flows = [p.motion.flow for p in pairs if p.motion and p.motion.same_place and p.motion.flow > NOISE]
-    return int(np.clip(AIM / np.median(flows), 1, MOST_STRIDE)) if flows else 1
 
 
 def cut_at_breaks(pairs: Sequence[Neighbours]) -> tuple[list[Drive], dict[str, int]]:

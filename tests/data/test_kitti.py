@@ -3,13 +3,12 @@
 import cv2
 import numpy as np
 import pytest
-from small_kitti import DRIVE, wall, write_calibration, write_drive
+from small_kitti import DRIVE, wall, write_calibration
 
 from dualdepth.data.kitti import (
     Frame,
     calibration_entry,
     check_root,
-    image_path,
     intrinsics,
     read_calibration,
     read_frame_list,
@@ -80,12 +79,6 @@ def test_png_is_read_as_rgb_to_the_bit(tmp_path):
     assert np.array_equal(read_image(tmp_path / "a.png"), image)
 
 
-def test_jpeg_is_read_as_rgb(tmp_path):
-    image = np.full((16, 16, 3), (200, 100, 20), np.uint8)
-    cv2.imwrite(str(tmp_path / "a.jpg"), image[..., ::-1])
-    assert np.abs(read_image(tmp_path / "a.jpg").astype(int) - image).max() <= 4
-
-
 @pytest.mark.parametrize("suffix", [".png", ".jpg"])
 def test_grey_is_repeated_over_three_channels(tmp_path, suffix):
     cv2.imwrite(str(tmp_path / f"a{suffix}"), np.full((16, 24), 77, np.uint8))
@@ -110,14 +103,6 @@ def test_what_is_no_image_is_named(tmp_path, content):
     path.write_bytes(content)
     with pytest.raises(InputError, match=rf"a\.png: not an image .*\({len(content)} bytes\)"):
         read_image(path)
-
-
-@pytest.mark.parametrize("suffix", [".png", ".jpg"])
-def test_frames_are_found_as_png_and_as_jpeg(tmp_path, suffix):
-    write_drive(tmp_path, [4], suffix=suffix)
-    assert image_path(tmp_path, Frame(DRIVE, 4)) == tmp_path / DRIVE / "image_02/data" / f"0000000004{suffix}"
-    assert image_path(tmp_path, Frame(DRIVE, 5)) is None
-    assert image_path(tmp_path, Frame(DRIVE, 4, "image_03")) is None
 
 
 def test_intrinsics_are_those_of_the_cameras_rectified_projection(tmp_path):

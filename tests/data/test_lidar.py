@@ -159,14 +159,11 @@ def test_improved_ground_truth_is_the_png_over_256(tmp_path, folder):
     path = tmp_path / folder / "proj_depth" / "groundtruth" / "image_02" / "0000000003.png"
     path.parent.mkdir(parents=True)
     cv2.imwrite(str(path), np.array([[0, 256], [384, 65535]], np.uint16))
+    with pytest.raises(InputError, match=r"0001_sync/image_02/0000000004"):
+        lidar.improved_ground_truth(tmp_path, FRAME._replace(index=4))
     depth = lidar.improved_ground_truth(tmp_path, FRAME)
     assert depth.dtype == np.float32
     np.testing.assert_array_equal(depth, [[0, 1], [1.5, 65535 / 256]])
     cv2.imwrite(str(path), np.zeros((2, 2), np.uint8))
     with pytest.raises(InputError, match="not a 16-bit depth PNG"):
-        lidar.improved_ground_truth(tmp_path, FRAME)
-
-
-def test_missing_improved_ground_truth_is_named(tmp_path):
-    with pytest.raises(InputError, match=r"0001_sync/image_02/0000000003"):
         lidar.improved_ground_truth(tmp_path, FRAME)

@@ -101,19 +101,9 @@ def test_a_step_has_the_same_samples_whoever_shares_it(accumulate, processes):
         assert Counter(key for keys in parts for key in keys) == Counter(expected)
 
 
-def test_the_length_is_the_number_of_batches_to_come():
-    for options in ({}, {"accumulate": 2}, {"processes": 2}):
-        sampler = StatelessBatches(10, 4, 0, 3, 8, **options)
-        assert len(sampler) == len(list(sampler))
-    assert len(StatelessBatches(10, 4, 0, 8, 8)) == 0
-
-
-def test_fewer_triplets_than_a_batch_are_an_error():
+def test_a_batch_that_cannot_be_shared_is_an_error():
     with pytest.raises(InputError, match="3 training triplets are fewer than a batch of 4"):
         StatelessBatches(3, 4, 0, 0, 1)
-
-
-def test_a_batch_that_cannot_be_shared_is_an_error():
     with pytest.raises(InputError, match="batch_size 4 cannot be shared by 1 parts × 3 processes"):
         StatelessBatches(10, 4, 0, 0, 1, processes=3)
 

@@ -58,6 +58,8 @@ def test_whatever_stands_alone_is_named_in_one_line(make_root):
     [
         ((), "holds no folder Test134; give the folder"),
         (("Test134",), r"Test134: holds no img-\*\.jpg"),
+        (("Test134", "Test134/img-a.jpg"), "holds no folder Gridlaserdata"),
+        (("Test134", "Test134/img-a.jpg", "Gridlaserdata"), r"Gridlaserdata: holds no depth_sph_corr-\*\.mat"),
     ],
 )
 def test_missing_and_empty_folders_are_told_apart(tmp_path, folders, message):
@@ -65,15 +67,6 @@ def test_missing_and_empty_folders_are_told_apart(tmp_path, folders, message):
         (tmp_path / folder).mkdir()
     with pytest.raises(InputError, match=message):
         find_pairs(tmp_path)
-
-
-def test_missing_and_empty_folders_of_grids_are_told_too(make_root):
-    root = make_root(grids=())
-    with pytest.raises(InputError, match=r"Gridlaserdata: holds no depth_sph_corr-\*\.mat"):
-        find_pairs(root)
-    (root / "Gridlaserdata").rmdir()
-    with pytest.raises(InputError, match="holds no folder Gridlaserdata"):
-        find_pairs(root)
 
 
 def test_the_fourth_channel_is_the_depth(make_root):

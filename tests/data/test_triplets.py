@@ -71,11 +71,6 @@ def test_an_empty_camera_folder_is_passed_over(root):
     assert numbers(drive_triplets(root, [OTHER], cameras=("image_02", "image_00"))) == [1]
 
 
-def test_missing_neighbours_are_found_once_each(root):
-    missing = missing_neighbours(root, [Frame(DRIVE, 3), Frame(DRIVE, 4), Frame(OTHER, 1)])
-    assert missing == [Frame(DRIVE, 4), Frame(OTHER, 0), Frame(OTHER, 1), Frame(OTHER, 2)]
-
-
 def test_one_message_names_all_missing_files_in_one_line(root):
     missing = [(frame, frame.camera) for frame in missing_neighbours(root, [Frame(DRIVE, 4), Frame(OTHER, 1), Frame(OTHER, 7)])]
     message = str(missing_files_error("to train on", root, [*missing, (Frame(OTHER, 3), "velodyne_points")]))

@@ -3,7 +3,6 @@
 import hashlib
 import io
 import json
-import socket
 
 import cv2
 import loopback
@@ -118,11 +117,3 @@ def test_photos_and_grids_that_do_not_fit_together_are_named(server, tmp_path, c
     wrong = {"Gridlaserdata/depth_sph_corr-x.mat": grid(0)} | dict(list(grids().items())[1:])
     server.files[GRIDS] = tar_of(wrong)
     assert "img-a-p-001t000.jpg has no grid, depth_sph_corr-x.mat has no photo" in fails(server, tmp_path, capsys)
-
-
-def test_without_a_network_the_mend_is_named(server, tmp_path, capsys, monkeypatch):
-    def no_network(*_, **__):
-        raise socket.gaierror("name or service not known")
-
-    monkeypatch.setattr(socket, "getaddrinfo", no_network)
-    assert fails(server, tmp_path, capsys).endswith("if you have Make3D, give MAKE3D_ROOT")

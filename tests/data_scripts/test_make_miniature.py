@@ -1,9 +1,6 @@
 """The written world: KITTI's layout and formats read by the readers of real KITTI, the same bytes twice, made once."""
 
 import json
-import subprocess
-import sys
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -20,7 +17,6 @@ from dualdepth.errors import InputError
 from dualdepth.files import locked
 from dualdepth.settings import World
 
-REPOSITORY = Path(__file__).parents[2]
 SETTINGS = {
     "size": (48, 152),
     "supersample": 2,
@@ -208,18 +204,14 @@ def test_folder_with_something_else_is_refused_and_kept(tmp_path):
     assert (tmp_path / "thesis.tex").exists()
 
 
-def test_command_makes_a_world_and_answers_mistakes_with_one_line(tmp_path):
-    def run(world):
-        profile = tmp_path / "small.yaml"
-        profile.write_text(f"about: a test\n{world}")
-        command = [sys.executable, str(REPOSITORY / "data_scripts" / "make_miniature.py"), "--profile", str(profile), "--out", "w"]
-        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-
-    done = run(f"world: {json.dumps(LEAST.model_dump(mode='json'))}\ndata: {{source: miniature}}\n")
-    assert done.returncode == 0, done.stderr
-    assert "frame" in done.stderr  # the progress bar
-    assert (tmp_path / "w" / "world.json").is_file()
+def test_command_makes_a_world_and_answers_mistakes_with_one_line(tmp_path, capsys):
+    profile, out = tmp_path / "small.yaml", tmp_path / "w"
+    call = ["--profile", str(profile), "--out", str(out)]
+    profile.write_text(f"about: a test\nworld: {json.dumps(LEAST.model_dump(mode='json'))}\ndata: {{source: miniature}}\n")
+    assert make_miniature.main(call) == 0 and (out / "world.json").is_file()
+    capsys.readouterr()
     for world in ("world: {sized: 3}\ndata: {source: miniature}\n", "data: {source: kitti, train_drives: [a]}\n"):
-        failed = run(world)
-        assert failed.returncode == 2
-        assert len(failed.stderr.splitlines()) == 1
+        profile.write_text(f"about: a test\n{world}")
+        with pytest.raises(SystemExit) as stopped:
+            make_miniature.main(call)
+        assert stopped.value.code == 2 and len(capsys.readouterr().err.splitlines()) == 1

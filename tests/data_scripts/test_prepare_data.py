@@ -85,8 +85,6 @@ def test_a_drive_cannot_be_both_trained_on_and_scored(project, write_scan):
     ("option", "value", "said"),
     [
         ("--kitti-root", "nowhere", "KITTI_ROOT nowhere is not a folder"),
-        ("--kitti-root", ".", "holds no 2011"),
-        ("--profile", "mini", "profile 'mini' not found: choose one of miniature"),
         ("--test-list", "nowhere.txt", "nowhere.txt: no such file"),
         ("--seeds", "0;1", "seeds '0;1': give whole numbers from 0 up between commas"),
     ],

@@ -57,4 +57,3 @@ def test_the_samples_list_is_the_eigen_frames_of_two_drives(cached_lists):
     frames = read_frame_list(named_list("sample_test", cached_lists))
     every = read_frame_list(named_list("eigen_test", cached_lists))
     assert frames == [f for f in every if f.drive[-9:-5] in ("0052", "0013") and f.date == "2011_09_26"]
-    assert {frame.drive[-9:-5] for frame in frames} == {"0052", "0013"}

@@ -4,6 +4,7 @@ from typing import get_args
 
 import pytest
 import torch
+from small_nets import as_trained
 from torch import nn
 
 from dualdepth.evaluation.cost import count
@@ -43,6 +44,17 @@ def without_gradient(net, output):
     return [name for name, p in net.named_parameters() if p.grad is None or not p.grad.any()]
 
 
+def check_scales(net, size, *given):
+    """Disparities come at four scales, with 16 features of full size; fewer are the same to the bit."""
+    with torch.inference_mode():
+        output, *fewer = (net(image(0, 2, size), scales, *given) for scales in (4, 1, 2, 3))
+    assert [tuple(d.shape) for d in output.disparities] == [(2, 1, size[0] >> s, size[1] >> s) for s in range(4)]
+    assert output.features.shape == (2, 16, *size)
+    assert [len(f.disparities) for f in fewer] == [1, 2, 3]
+    assert all(torch.equal(a, b) for found in fewer for a, b in zip(found.disparities, output.disparities))
+    assert all(torch.equal(found.features, output.features) for found in fewer)
+
+
 # LR-Net
 
 
@@ -69,15 +81,7 @@ def test_gradients_reach_every_parameter_of_lr_net():
 
 @pytest.fixture(scope="module")
 def hr_net():
-    """In eval mode, with the batch norm statistics of a trained network, so that a zero at the border would show."""
-    net = HRNet(GLOBAL)
-    torch.manual_seed(0)
-    for module in net.modules():
-        if isinstance(module, nn.BatchNorm2d):
-            nn.init.normal_(module.running_mean, std=0.3)
-            nn.init.uniform_(module.running_var, 0.5, 2)
-            nn.init.normal_(module.bias, std=0.3)
-    return net.eval()
+    return as_trained(HRNet(GLOBAL))
 
 
 def small(seed=0):
@@ -120,14 +124,7 @@ def test_a_flat_image_has_flat_disparities_up_to_the_border(hr_net):
 
 
 def test_hr_nets_disparities_come_at_four_scales_and_fewer_are_the_same_to_the_bit(hr_net):
-    with torch.inference_mode():
-        output = hr_net(small(), 4, features())
-        fewer = [hr_net(small(), scales, features()) for scales in (1, 2, 3)]
-    assert [tuple(d.shape) for d in output.disparities] == [(2, 1, SMALL[0] >> s, SMALL[1] >> s) for s in range(4)]
-    assert output.features.shape == (2, 16, *SMALL)
-    assert [len(f.disparities) for f in fewer] == [1, 2, 3]
-    assert all(torch.equal(a, b) for found in fewer for a, b in zip(found.disparities, output.disparities))
-    assert all(torch.equal(found.features, output.features) for found in fewer)
+    check_scales(hr_net, SMALL, features())
 
 
 def test_global_features_join_the_deepest_map_and_change_every_scale(hr_net):
@@ -149,29 +146,11 @@ def test_by_itself_hr_net_has_no_room_for_global_features():
             by_itself(small(), 4, features())
 
 
-def test_under_bfloat16_hr_nets_features_stay_narrow_and_disparities_are_float32(hr_net):
-    seen = given_to(hr_net.decoder.neck)
-    with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16):
-        output = hr_net(small(), 4, features())
-    assert seen[0][0].dtype == output.features.dtype == torch.bfloat16
-    assert all(d.dtype == torch.float32 and d.isfinite().all() for d in output.disparities)
-
-
 @pytest.mark.parametrize("global_channels", [0, GLOBAL])
 def test_gradients_reach_every_parameter_of_hr_net(global_channels):
     torch.manual_seed(0)
     net = HRNet(global_channels)
     assert without_gradient(net, net(small(), 4, features() if global_channels else None)) == []
-
-
-def test_batch_norm_follows_the_batches_in_training_alone():
-    net = HRNet()
-    statistics = {name: value.clone() for name, value in net.named_buffers()}
-    net.eval()(small())
-    assert all(torch.equal(value, statistics[name]) for name, value in net.named_buffers())
-    net.train()(small())
-    assert len(statistics) == 3 * 10
-    assert not any(torch.equal(value, statistics[name]) for name, value in net.named_buffers())
 
 
 # The dual network
@@ -214,14 +193,7 @@ def test_the_embedding_alone_is_as_large_and_saves_the_two_products(dual_of):
 
 @pytest.mark.parametrize("link", LINKS)
 def test_the_dual_networks_disparities_come_at_four_scales_and_fewer_are_the_same_to_the_bit(dual_of, link):
-    net = dual_of(link)
-    with torch.inference_mode():
-        output = net(image(items=2))
-        fewer = [net(image(items=2), scales).disparities for scales in (1, 2, 3)]
-    assert [tuple(d.shape) for d in output.disparities] == [(2, 1, SIZE[0] >> s, SIZE[1] >> s) for s in range(4)]
-    assert output.features.shape == (2, 16, *SIZE)
-    assert [len(f) for f in fewer] == [1, 2, 3]
-    assert all(torch.equal(a, b) for found in fewer for a, b in zip(found, output.disparities))
+    check_scales(dual_of(link), SIZE)
 
 
 @pytest.mark.parametrize("link", LINKS)
@@ -248,28 +220,6 @@ def test_lr_net_stays_in_eval_mode(encoder):
         modes = [{m.training for m in part.modules()} for part in (lr_net, whole.train(mode)[0].hr_net, whole[0].attention)]
         assert modes == [{False}, {mode}, {mode}]
     assert not any(m.training for m in DualNet(LRNet(encoder)).lr_net.modules())  # before anyone calls train()
-
-
-def test_lr_net_sees_the_image_averaged_3_by_3(dual_of):
-    net = dual_of()
-    seen = given_to(net.lr_net.encoder)
-    with torch.inference_mode():
-        net(image())
-    assert len(seen) == 1
-    assert seen[0][0].shape == (1, 3, 64, 96)
-    assert torch.allclose(seen[0][0], averaged(image()), atol=1e-6)
-
-
-def test_sa_attention_is_given_lr_nets_deepest_map_and_the_low_resolution_image(dual_of):
-    net = dual_of()
-    seen = given_to(net.attention)
-    with torch.inference_mode():
-        net(image())
-        expected = net.lr_net.encoder(averaged(image()))[-1]
-    features, low = seen[0]
-    assert features.shape == (1, DEEPEST, 2, 3)
-    assert torch.allclose(features, expected, atol=1e-5)
-    assert torch.allclose(low, averaged(image()), atol=1e-6)
 
 
 @pytest.mark.parametrize("link", LINKS)
@@ -301,19 +251,6 @@ def test_the_link_and_its_settings_reach_sa_attention(dual_of, link, mixes):
     assert (attention.mixing, attention.similarity, attention.normalise) == (mixes, "l2", "mean")
 
 
-@pytest.mark.parametrize("link", LINKS)
-def test_lr_net_leads(dual_of, link):
-    """Other weights in LR-Net's encoder give another depth; its decoder has no say."""
-    net = dual_of(link)
-    with torch.inference_mode():
-        plain = net(image()).disparities[0]
-        nn.init.normal_(net.lr_net.decoder.heads[0].weight)
-        assert torch.equal(net(image()).disparities[0], plain)
-        last = [m for m in net.lr_net.encoder.modules() if isinstance(m, nn.BatchNorm2d)][-1]
-        nn.init.normal_(last.weight)
-        assert not torch.equal(net(image()).disparities[0], plain)
-
-
 def test_lr_nets_decoder_changes_nothing_and_gives_its_depth_beside(dual_of):
     net = dual_of()
     seen = given_to(net.lr_net.encoder)
@@ -329,10 +266,11 @@ def test_lr_nets_decoder_changes_nothing_and_gives_its_depth_beside(dual_of):
     assert all(torch.allclose(a, b, atol=1e-5) for a, b in zip(low.disparities, expected.disparities))
 
 
-def test_disparities_are_float32_and_finite_under_bfloat16(dual_of):
+def test_under_bfloat16_features_stay_narrow_and_disparities_are_float32_and_finite(dual_of):
     net = dual_of().train()
+    seen = given_to(net.hr_net.decoder.neck)
     with torch.autocast("cpu", torch.bfloat16):
         output = net(image())
     assert all(d.dtype == torch.float32 and d.isfinite().all() for d in output.disparities)
-    assert output.features.dtype == torch.bfloat16
+    assert seen[0][0].dtype == output.features.dtype == torch.bfloat16
     assert net.attention.scale.dtype == torch.float32

@@ -4,6 +4,7 @@ import socket
 
 import pytest
 import torch
+from small_nets import as_trained
 from torch import nn
 from torch.nn import functional as F
 
@@ -28,17 +29,6 @@ def no_network(monkeypatch):
     monkeypatch.setattr(socket.socket, "connect", refuse)
 
 
-def randomised(net, seed=0):
-    """Give batch norms the statistics of a trained network, so that a zero at the border would show."""
-    torch.manual_seed(seed)
-    for module in net.modules():
-        if isinstance(module, nn.BatchNorm2d):
-            nn.init.normal_(module.running_mean, std=0.3)
-            nn.init.uniform_(module.running_var, 0.5, 2)
-            nn.init.normal_(module.bias, std=0.3)
-    return net.eval()
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_maps_have_strides_2_to_32_and_the_networks_channels(name):
     encoder = make_encoder(name).eval()
@@ -58,7 +48,7 @@ def test_no_convolution_pads_with_zeros(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_a_flat_image_has_flat_maps_up_to_the_border(name):
     """Zeros beyond the border would show as a frame."""
-    encoder = randomised(make_encoder(name))
+    encoder = as_trained(make_encoder(name))
     with torch.inference_mode():
         maps = encoder(torch.tensor([0.9, 0.4, 0.1]).view(1, 3, 1, 1).expand(1, 3, 64, 96))
     for found in maps:
@@ -78,7 +68,7 @@ def test_the_first_convolution_is_that_of_the_mirrored_image(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_images_are_normalised_as_imagenet_weights_expect(name):
-    encoder = randomised(make_encoder(name))
+    encoder = as_trained(make_encoder(name))
     grey = torch.tensor(IMAGENET_MEAN).view(1, 3, 1, 1).expand(1, 3, 64, 64)
     with torch.inference_mode():
         for found, expected in zip(encoder(grey), encoder.stages(torch.zeros(1, 3, 64, 64))):
@@ -92,20 +82,23 @@ def test_mobilenet_leaves_the_padding_to_its_convolutions():
     assert {m.momentum for m in encoder.modules() if isinstance(m, nn.BatchNorm2d)} == {0.1}
 
 
-@pytest.mark.parametrize("name", ["resnet18", "mobilenet_v2"])
-def test_imagenet_weights_are_taken_from_a_local_folder(name, tmp_path):
-    """The folder is what the hub holds: the classifier, whose encoder's names have a prefix."""
+def donor_of(name, folder):
+    """What the hub holds, in a folder: a classifier, whose encoder's names have a prefix."""
     from transformers import MobileNetV2Config, MobileNetV2ForImageClassification, ResNetConfig, ResNetForImageClassification
 
-    torch.manual_seed(5)
     if name == "resnet18":
         config = ResNetConfig(depths=[2, 2, 2, 2], hidden_sizes=[64, 128, 256, 512], layer_type="basic")
-        donor = ResNetForImageClassification(config)
+        donor = as_trained(ResNetForImageClassification(config))
     else:
-        donor = MobileNetV2ForImageClassification(MobileNetV2Config())
-    randomised(donor)
-    donor.save_pretrained(tmp_path)
-    assert (tmp_path / "model.safetensors").is_file()
+        donor = as_trained(MobileNetV2ForImageClassification(MobileNetV2Config()))
+    donor.save_pretrained(folder)
+    assert (folder / "model.safetensors").is_file()
+    return donor
+
+
+@pytest.mark.parametrize("name", ["resnet18", "mobilenet_v2"])
+def test_imagenet_weights_are_taken_from_a_local_folder(name, tmp_path):
+    donor = donor_of(name, tmp_path)
     torch.manual_seed(6)
     encoder = make_encoder(name, pretrained=str(tmp_path))
     given = {k.split(".", 1)[1]: v for k, v in donor.state_dict().items() if not k.startswith("classifier")}
@@ -117,12 +110,7 @@ def test_imagenet_weights_are_taken_from_a_local_folder(name, tmp_path):
 
 
 def test_the_pretrained_encoder_computes_what_its_donor_does(tmp_path):
-    from transformers import ResNetConfig, ResNetForImageClassification
-
-    donor = randomised(
-        ResNetForImageClassification(ResNetConfig(depths=[2, 2, 2, 2], hidden_sizes=[64, 128, 256, 512], layer_type="basic"))
-    )
-    donor.save_pretrained(tmp_path)
+    donor = donor_of("resnet18", tmp_path)
     encoder = make_encoder("resnet18", pretrained=str(tmp_path)).eval()
     for module in encoder.modules():
         if isinstance(module, nn.Conv2d):
@@ -188,15 +176,12 @@ def test_weights_of_a_backbone_are_taken_from_its_folder(tmp_path):
     assert torch.equal(taken, donor.swin.state_dict()[name])
 
 
-def test_a_backbone_of_one_scale_is_refused(tmp_path):
+def test_a_backbone_of_one_scale_and_a_folder_that_holds_no_network_are_refused(tmp_path):
     from transformers import Dinov2Config
 
     Dinov2Config(hidden_size=16, num_hidden_layers=4, num_attention_heads=2, image_size=64, patch_size=16).save_pretrained(tmp_path)
     with pytest.raises(InputError, match="a hierarchical backbone with 4, 8, 16, 32 is needed"):
         make_encoder(str(tmp_path))
-
-
-def test_a_folder_that_holds_no_network_is_an_error_that_names_it(tmp_path):
     (tmp_path / "config.json").write_text("{}")
     with pytest.raises(InputError, match="not resnet50, resnet18, mobilenet_v2 nor a usable AutoBackbone"):
         make_encoder(str(tmp_path))

@@ -40,11 +40,6 @@ def test_its_first_poses_are_next_to_nothing(net):
     assert 0 < poses.abs().max() < 0.01
 
 
-def test_poses_of_an_item_do_not_depend_on_the_others(net):
-    together = net(torch.cat([images(0, 1), images(1, 1)]))
-    assert torch.allclose(together[:1], net(images(0, 1)), atol=1e-6)
-
-
 @pytest.mark.parametrize("view", [0, 1, 2])
 def test_target_and_both_sources_are_looked_at(net, view):
     changed = images()

@@ -76,15 +76,10 @@ SCANS = [
     *all_of(
         "scans",
         CAMERAS,
-        NO_FILE | {"no R_rect_00": replaced("R_rect_00", "R_rect_01"), "11 numbers": replaced("P_rect_02: ", "P_rect_02: 1 ")},
-    ),
-    *all_of(
-        "scans",
-        CAMERAS,
-        {"not finite": replaced("P_rect_02: 2.2", "P_rect_02: nan 2.2"), "words": replaced("P_rect_02: 2", "P_rect_02: wide")},
-    ),
-    *all_of(
-        "scans", CAMERAS, {f"a size of {s}": replaced("S_rect_02: 80 40", f"S_rect_02: {s}") for s in ("-80 40", "1e9 1e9", "0 0", "80")}
+        NO_FILE
+        | {"no R_rect_00": replaced("R_rect_00", "R_rect_01"), "11 numbers": replaced("P_rect_02: ", "P_rect_02: 1 ")}
+        | {"not finite": replaced("P_rect_02: 2.2", "P_rect_02: nan 2.2"), "words": replaced("P_rect_02: 2", "P_rect_02: wide")}
+        | {f"a size of {s}": replaced("S_rect_02: 80 40", f"S_rect_02: {s}") for s in ("-80 40", "1e9 1e9", "0 0", "80")},
     ),
     *all_of("scans", LASER, NO_FILE | {"no T": replaced("T:", "X:"), "8 numbers": replaced("R: 0", "R:")}),
     *all_of("scans", "list.txt", NO_FILE | {"blank": text("\n \n"), "UTF-16": lambda whole: whole.decode().encode("utf-16")}),
@@ -103,23 +98,20 @@ SCANS = [
         "0000000001",
     ),
 ]
-POSES = [
-    *all_of("odometry", "pred.txt", NO_FILE | QUARTERS),
-    *all_of(
-        "odometry",
-        "pred.txt",
-        {"11 numbers": replaced("1 0 0 3 ", "1 0 3 "), "a word": replaced("3", "three"), "not finite": replaced("3", "nan")},
-    ),
-    *all_of(
-        "odometry",
-        "pred.txt",
-        {
-            "TUM": text("0 0 0 0 0 0 0 1\n" * 8),
-            "no rotation": replaced("1 0 0 3", "2 0 0 3"),
-            "a pose short": text("1 0 0 0 0 1 0 0 0 0 1 0\n"),
-        },
-    ),
-]
+POSES = all_of(
+    "odometry",
+    "pred.txt",
+    NO_FILE
+    | QUARTERS
+    | {
+        "11 numbers": replaced("1 0 0 3 ", "1 0 3 "),
+        "a word": replaced("3", "three"),
+        "not finite": replaced("3", "nan"),
+        "TUM": text("0 0 0 0 0 0 0 1\n" * 8),
+        "no rotation": replaced("1 0 0 3", "2 0 0 3"),
+        "a pose short": text("1 0 0 0 0 1 0 0 0 0 1 0\n"),
+    },
+)
 ARRAYS = [
     *all_of(
         "depth",
@@ -130,12 +122,10 @@ ARRAYS = [
     *all_of(
         "depth",
         "G.npz",
-        NO_FILE | QUARTERS | {"bomb": npz_bomb, "no members": text(zip_of({})), "no array": text(zip_of({"a.npy": b"no array"}))},
-    ),
-    *all_of(
-        "depth",
-        "G.npz",
-        {"whole numbers": npz_of(a=np.ones((2, 3), int)), "pickled": npz_of(a=np.array([{}], object)), "a row": npz_of(a=np.ones(3))},
+        NO_FILE
+        | QUARTERS
+        | {"bomb": npz_bomb, "no members": text(zip_of({})), "no array": text(zip_of({"a.npy": b"no array"}))}
+        | {"whole numbers": npz_of(a=np.ones((2, 3), int)), "pickled": npz_of(a=np.array([{}], object)), "a row": npz_of(a=np.ones(3))},
     ),
     *all_of(
         "depth",

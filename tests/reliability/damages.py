@@ -47,22 +47,21 @@ NO_FILE: dict[str, Damage] = {
 }
 
 
+def encoded(picture: Image.Image, kind: str = "png", **settings) -> bytes:
+    """A picture as a file."""
+    buffer = io.BytesIO()
+    picture.save(buffer, kind, **settings)
+    return buffer.getvalue()
+
+
 def image(mode: str, kind: str = "png", **settings) -> Damage:
     """The same picture in another mode or format."""
-
-    def damage(whole: bytes) -> bytes:
-        buffer = io.BytesIO()
-        Image.open(io.BytesIO(whole)).convert(mode).save(buffer, kind, **settings)
-        return buffer.getvalue()
-
-    return damage
+    return lambda whole: encoded(Image.open(io.BytesIO(whole)).convert(mode), kind, **settings)
 
 
 def deep(whole: bytes) -> bytes:
     """The same picture, grey, with 16 bits."""
-    buffer = io.BytesIO()
-    Image.fromarray(np.asarray(Image.open(io.BytesIO(whole)).convert("L")).astype(np.uint16) * 257).save(buffer, "png")
-    return buffer.getvalue()
+    return encoded(Image.fromarray(np.asarray(Image.open(io.BytesIO(whole)).convert("L")).astype(np.uint16) * 257))
 
 
 def png_of_gigapixels(whole: bytes) -> bytes:
@@ -79,9 +78,7 @@ def jpeg_of_gigapixels(whole: bytes) -> bytes:
 
 def smaller(whole: bytes) -> bytes:
     """The same picture at another size."""
-    buffer = io.BytesIO()
-    Image.open(io.BytesIO(whole)).resize((100, 90)).save(buffer, "png")
-    return buffer.getvalue()
+    return encoded(Image.open(io.BytesIO(whole)).resize((100, 90)))
 
 
 def npz_of(**arrays: np.ndarray) -> Damage:

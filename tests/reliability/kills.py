@@ -13,6 +13,7 @@ import json
 import multiprocessing
 import os
 import random
+import shutil
 import signal
 import sys
 import tempfile
@@ -140,15 +141,7 @@ def caught_writing(process: BaseProcess, folder: Path) -> bool:
 
 
 def kill_at_random(run: Run, variant: str, seed: int, kills: int, seconds: float, rng: random.Random) -> tuple[int, int]:
-    """Start a training, kill it, start it again … and at last let it end.
-
-    Args:
-        run: of the profile.
-        variant: to train.
-        seed: of the training.
-        kills: how often to kill, while it is not done.
-        seconds: of two of its steps.
-        rng: chooses the moments.
+    """Start a training, kill it, start it again … and at last let it end; `seconds` are those of two of its steps.
 
     Returns:
         Kills, and how many of them left a half-written file.
@@ -197,13 +190,9 @@ def try_kills(root: Path, kills: int, each: int, seed: int = 0) -> list[Tally]:
         same = weights == expected[variant][0] and log.equals(expected[variant][1])
         leftovers = [path for path in folder.rglob(".*.part*")]
         tallies.append(Tally(done, torn, same and not leftovers, len(weights), same_bytes(expected[variant][0], weights)))
-        print(
-            f"  {sum(tally.kills for tally in tallies)} of {kills} kills, {'the same' if tallies[-1].identical else 'DIFFERENT'}",
-            flush=True,
-        )
-        for path in sorted(folder.rglob("*"), reverse=True):
-            path.rmdir() if path.is_dir() else path.unlink()
-        folder.rmdir()
+        said = "the same" if tallies[-1].identical else "DIFFERENT"
+        print(f"  {sum(tally.kills for tally in tallies)} of {kills} kills, {said}", flush=True)
+        shutil.rmtree(folder)
         kept.rename(folder)
     return tallies
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from bad_inputs import CASES, Case
 from loopback import running
+from small_training import quiet_torch  # noqa: F401
 from worlds import SERVED, WORLDS
 
 from data_scripts import download_make3d, fetch
@@ -17,18 +18,6 @@ from dualdepth.run import parse_seeds
 REPOSITORY = Path(__file__).parents[2]
 LOGS = ("log.csv", "events.out.tfevents", "panels", "seed0/lock")
 """What a training writes before it reads its first frame."""
-
-
-@pytest.fixture(autouse=True)
-def quiet_torch():
-    """Each training decides precision and determinism for itself."""
-    yield
-    if "accelerate" in sys.modules:
-        import torch
-        from accelerate.state import AcceleratorState
-
-        AcceleratorState._reset_state(reset_partial_state=True)
-        torch.use_deterministic_algorithms(False)
 
 
 @pytest.fixture

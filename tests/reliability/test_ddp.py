@@ -13,7 +13,7 @@ from dualdepth.training.checkpoints import last_checkpoint
 from tests.reliability.ddp import Pair, largest_difference, start_two, wait_for_step, weights_of
 from tests.reliability.kills import finish, start
 
-TORCHRUN = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+TORCHRUN = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", "-m", "dualdepth.cli"]
 
 
 @pytest.fixture(scope="module")
@@ -59,11 +59,10 @@ def test_torchrun_ends_with_the_error_of_the_process_that_met_it(pair):
     frame = sorted((pair.root / "kitti").rglob("*.png"))[3]
     content = frame.read_bytes()
     frame.write_bytes(content[:100])
-    command = [*TORCHRUN, "-m", "dualdepth.cli"]
     began = time.monotonic()
     try:
         done = subprocess.run(
-            [sys.executable, *command, "train", "--profile", str(pair.profile), "--variant", "lr"],
+            [sys.executable, *TORCHRUN, "train", "--profile", str(pair.profile), "--variant", "lr"],
             cwd=pair.root,
             capture_output=True,
             text=True,

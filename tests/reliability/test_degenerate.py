@@ -44,24 +44,21 @@ def move(axis, value):
     return change
 
 
-def decoders(stage):
-    """The decoder that gives the stage's depth."""
-    net = getattr(stage.depth_net, "hr_net", stage.depth_net)
-    return net.decoder
+def decoder(stage):
+    """Of the network that gives the stage's depth."""
+    return getattr(stage.depth_net, "hr_net", stage.depth_net).decoder
 
 
-def bounds(stage, batch):
-    for head in decoders(stage).heads:
-        head.bias.data.fill_(1e4)  # the nearest depth
+def disparity(bias):
+    def change(stage, batch):
+        for head in decoder(stage).heads:
+            head.bias.data.fill_(bias)
 
-
-def far(stage, batch):
-    for head in decoders(stage).heads:
-        head.bias.data.fill_(-1e4)
+    return change
 
 
 def constant(stage, batch):
-    for merge in decoders(stage).merge:
+    for merge in decoder(stage).merge:
         for layer in merge:
             if hasattr(layer, "weight"):
                 torch.nn.init.zeros_(layer.weight)
@@ -71,8 +68,8 @@ CASES = {
     "black frames": pixels(0),
     "white frames": pixels(255),
     "no motion": still,
-    "depth at its nearest": bounds,
-    "depth at its farthest": far,
+    "depth at its nearest": disparity(1e4),
+    "depth at its farthest": disparity(-1e4),
     "points behind the camera": move(2, -1e3),
     "no valid pixel": move(0, 1e6),
     "half a turn": move(4, 3.14159),

@@ -5,12 +5,11 @@
 
 import io
 import json
-import tarfile
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from loopback import Loopback, zip_of
+from loopback import Loopback, tar_of, zip_of
 from PIL import Image
 from scipy.io import savemat
 from small_encoder import save_encoder
@@ -125,20 +124,6 @@ def labels(folder: Path) -> Call:
         return 0
 
     return read
-
-
-def tar_of(members: dict[str, bytes | tarfile.TarInfo]) -> bytes:
-    """A gzipped tar of files, or of special members."""
-    buffer = io.BytesIO()
-    with tarfile.open(fileobj=buffer, mode="w:gz") as tar:
-        for name, content in members.items():
-            if isinstance(content, tarfile.TarInfo):
-                tar.addfile(content)
-                continue
-            info = tarfile.TarInfo(name)
-            info.size = len(content)
-            tar.addfile(info, io.BytesIO(content))
-    return buffer.getvalue()
 
 
 def photo() -> bytes:

@@ -14,7 +14,7 @@ from dualdepth.run import Sources
 from dualdepth.tables import sa_region
 from dualdepth.tables.rows import COMPARISON
 from dualdepth.tables.sa_region import NO_LABELS, gain_row, labels_made_by, sa_region_claims, sa_region_table
-from dualdepth.tables.scoring import label_map, scored_frames
+from dualdepth.tables.scoring import scored_frames
 
 ROAD, GREEN = REGIONS
 FAULT = {("dual_no_sa", ROAD): 0.3, ("dual", ROAD): 0.1, ("dual_no_sa", GREEN): 0.1, ("dual", GREEN): 0.15}
@@ -137,9 +137,3 @@ def test_the_gain_on_road_is_compared_with_that_on_green_in_images_that_have_bot
     assert [row["mean_a"], row["mean_b"], row["difference"]] == pytest.approx([0.2, -0.05, 0.25])
     assert row["n"] == 2 and row["in_words"].startswith("better by 0.25: ")
     assert gain_row(run, [1])["difference"] == pytest.approx(0.25)
-
-
-def test_a_missing_label_map_is_named(run, tmp_path):
-    label_path(tmp_path / "labels", scored_frames(run)[2]).unlink()
-    with pytest.raises(InputError, match=r"0000000002\.png: "):
-        label_map(run, 2)

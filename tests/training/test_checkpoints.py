@@ -21,11 +21,6 @@ def test_a_checkpoint_makes_the_round_trip(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_there_may_be_no_checkpoint(tmp_path):
-    assert last_checkpoint(tmp_path) is None
-    assert last_checkpoint(tmp_path / "nowhere") is None
-
-
 def test_the_newest_are_kept(tmp_path):
     for step in (9, 10, 11, 100):
         save_checkpoint(tmp_path, step, *trained_net(), recipe="abc", keep=3)

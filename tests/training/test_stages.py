@@ -55,18 +55,12 @@ def asked(monkeypatch):
     return calls
 
 
-@pytest.mark.parametrize("low", [True, False])
-def test_posenet_sees_target_and_sources_averaged_3_by_3(batch, low):
-    stage = seen_stage(low)
-    stage(batch)
-    assert torch.allclose(stage.pose_net.images, averaged(batch), atol=1e-6)
-
-
-def test_lr_net_sees_target_and_sources_averaged_3_by_3_and_depth_is_that_of_the_target(batch):
+def test_lr_net_and_posenet_see_target_and_sources_averaged_3_by_3_and_depth_is_that_of_the_target(batch):
     stage = seen_stage(low=True)
     output = stage(batch)
     assert stage.depth_net.calls == 1
     assert torch.allclose(stage.depth_net.image.reshape(2, 3, 3, 32, 64), averaged(batch), atol=1e-6)
+    assert torch.allclose(stage.pose_net.images, averaged(batch), atol=1e-6)
     assert torch.allclose(output.target, averaged(batch)[:, 0], atol=1e-6)
     assert torch.allclose(output.disparity, output.target.mean(1, keepdim=True) + 0.5, atol=1e-6)
     assert torch.equal(output.features, output.target)
@@ -79,29 +73,26 @@ def test_without_the_feature_loss_lr_net_sees_targets_alone(batch):
     assert output.losses.feature == 0
 
 
-def test_at_high_resolution_only_the_target_goes_through_the_depth_network(batch):
+def test_at_high_resolution_only_the_target_goes_through_the_depth_network_and_posenet_sees_averages(batch):
     stage = seen_stage(low=False)
     output = stage(batch)
     expected = batch["images"][:, 0].float() / 255
     assert stage.depth_net.calls == 1
     assert torch.allclose(stage.depth_net.image, expected)
+    assert torch.allclose(stage.pose_net.images, averaged(batch), atol=1e-6)
     assert torch.allclose(output.target, expected)
     assert torch.allclose(output.disparity, expected.mean(1, keepdim=True) + 0.5, atol=1e-6)
 
 
-def test_frames_that_were_shrunk_first_are_not_shrunk_again(batch):
-    stage = seen_stage(low=True, augment_first=False)
-    output = stage(batch)
-    assert torch.allclose(output.target, batch["images"][:, 0].float() / 255)
-    assert torch.allclose(stage.pose_net.images, batch["images"].float() / 255)
-
-
-def test_both_orders_mean_the_same_geometry(batch, asked):
+def test_frames_that_were_shrunk_first_are_not_shrunk_again_and_have_the_same_geometry(batch, asked):
     """Intrinsics given at full resolution are those of the low-resolution view times three."""
     seen_stage(low=True)(batch)
     assert torch.allclose(asked[0][1][0], torch.tensor([[40.0, 0, 31.5], [0, 40, 15.5], [0, 0, 1]]), atol=1e-5)
-    seen_stage(low=True, augment_first=False)(batch)
+    stage = seen_stage(low=True, augment_first=False)
+    output = stage(batch)
     assert torch.equal(asked[1][1], batch["intrinsics"])
+    assert torch.allclose(output.target, batch["images"][:, 0].float() / 255)
+    assert torch.allclose(stage.pose_net.images, batch["images"].float() / 255)
 
 
 def test_losses_of_stage_2_are_those_of_full_resolution_with_the_batchs_own_intrinsics(batch, asked):
@@ -119,8 +110,7 @@ def test_at_high_resolution_there_is_no_feature_loss_whatever_its_weight(batch, 
     assert losses.feature == 0
     assert asked[0][5] is None
     assert torch.allclose(losses.total, 2.0 * losses.photometric + 0.5 * losses.smoothness)
-    assert losses.photometric > 0
-    assert losses.smoothness > 0
+    assert losses.photometric > 0 and losses.smoothness > 0
 
 
 @pytest.mark.parametrize("low", [True, False])

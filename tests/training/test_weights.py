@@ -30,14 +30,6 @@ def test_weights_and_card_make_the_round_trip(tmp_path, card_name):
     assert sorted(p.name for p in tmp_path.iterdir()) == [card_name or "model.json", "model.safetensors"]
 
 
-def test_a_part_of_the_weights_is_loaded_by_its_prefix(tmp_path):
-    net, _ = trained_net()
-    save_weights(tmp_path / "model.safetensors", net, {})
-    depth_net = Net().depth_net
-    load_weights(tmp_path / "model.safetensors", depth_net, prefix="depth_net.")
-    assert equal(depth_net.state_dict(), net.depth_net.state_dict())
-
-
 def test_changed_weights_are_refused(path):
     content = bytearray(path.read_bytes())
     content[-1] ^= 1
