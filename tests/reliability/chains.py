@@ -188,7 +188,8 @@ def make_chain(root: Path) -> Chain:
     """The real chain of a small profile: all notebooks, both stages of a small network."""
     for name in ("Snakefile", "environment.lock"):
         shutil.copyfile(project_root() / name, root / name)
-    shutil.copytree(project_root() / "notebooks", root / "notebooks")
+    for name in ("notebooks", "docs"):
+        shutil.copytree(project_root() / name, root / name)
     profile, encoder = root / "killed.yaml", save_encoder(root / "encoder")
     profile.write_text(json.dumps(PROFILE | {"training": PROFILE["training"] | {"encoder": encoder}}))  # JSON is YAML
     return Chain(root, profile, lambda: outcome(root), lambda: broken(root))
