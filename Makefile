@@ -33,7 +33,7 @@ reproduce: env ## run every notebook of a profile: data, training, tables, figur
 	@$(REPRODUCE)
 
 status: env ## which steps `make reproduce` with the same settings would run, and why
-	@$(REPRODUCE) -- --dry-run | grep -E '^((local)?rule|    (wildcards|reason)|Nothing to be done)'
+	@said=$$($(REPRODUCE) -- --dry-run) && echo "$$said" | grep -E '^((local)?rule|    (wildcards|reason)|Nothing to be done)'
 
 test: env lint ## lint, unit tests, the tiny chain, notebooks against their stored outputs
 	pytest $(SIDE_BY_SIDE) --dist worksteal

@@ -33,6 +33,9 @@ PAGES = {
 OWN = {} if run_.profile.data.has_truth else {RECORD: file_digest(Path(GIVEN["kitti_root"]) / RECORD)}
 
 
+DRAWING = {"overview.svg": file_digest(run_.root / "docs/overview.svg")}
+
+
 def made_from(notebook, step, **kinds):
     """What shapes a step's result, for its params."""
     return inputs(notebook, step, run_.root, **kinds)
@@ -71,7 +74,7 @@ rule quickstart:
     output:
         f"{RESULTS}/notebooks/00_quickstart.ipynb",
     params:
-        *made_from("00_quickstart", "quickstart"),
+        *made_from("00_quickstart", "quickstart", files=DRAWING),
         seed=SEEDS[0],
     shell:
         "dualdepth notebook 00_quickstart --out {output} --set profile={PROFILE:q} seed={params.seed}"
@@ -156,7 +159,7 @@ for page, (table, names) in PAGES.items():
             notebook=f"{RESULTS}/notebooks/{page}.ipynb",
             table=[f"{RESULTS}/tables/{table}.csv", f"{RESULTS}/tables/{table}.json"] if table else [],
         params:
-            *made_from(page, "tables", files=FILES.get(table, {}), **SHARED),
+            *made_from(page, "tables", files=FILES.get(table, DRAWING), **SHARED),
             page=page,
             seeds=",".join(map(str, SEEDS)),
         threads: workflow.cores if table == "backbone" else max(1, workflow.cores // 2)  # the one measures time
@@ -178,7 +181,7 @@ rule report:
             "14_report",
             "report",
             **SHARED | {"setting": SHARED["setting"] | run_.profile.values("verdicts", "training.loss")},
-            files={name: file_digest(PACKAGE / name) for name in ("report.html.j2", "assumptions.yaml")},
+            files={name: file_digest(PACKAGE / name) for name in ("report.html.j2", "assumptions.yaml")} | DRAWING,
         ),
     shell:
         "dualdepth notebook 14_report --out {output.notebook} --set profile={PROFILE:q}"

@@ -22,7 +22,7 @@ from data_scripts.own.camera import MOST_BOARDS, Camera, Straightener, calibrate
 from data_scripts.own.checks import examine, hold_out
 from dualdepth.data.frames import Footage
 from dualdepth.errors import InputError, exit_on_input_error
-from dualdepth.files import locked, write_json
+from dualdepth.files import file_digest, locked, write_json
 
 
 class Made(NamedTuple):
@@ -55,10 +55,8 @@ def make(
         if value is not None and value < 1:
             raise InputError(f"--{option} {value}: give a whole number from 1 up")
     out, footages = Path(out).absolute(), [Footage(path) for path in inputs]
-    camera = camera_of(footages, **given)
     options = {"stride": stride, "held_out": held_out, "name": name, "anyway": anyway}
-    made_from = [[footage.digest() for footage in footages], camera.record(), options]
-    digest = hashlib.sha256(json.dumps(made_from).encode()).hexdigest()
+    digest = hashlib.sha256(json.dumps([_read_from(footages, **given), options]).encode()).hexdigest()
     partial = out.with_name(f".{out.name}.part")
     out.parent.mkdir(parents=True, exist_ok=True)
     with locked(out.with_name(f".{out.name}.lock")):
@@ -70,7 +68,7 @@ def make(
             raise InputError(f"{out}: holds {what}; remove it, or give another --out")
         shutil.rmtree(partial, ignore_errors=True)
         try:
-            said = write(partial, footages, camera, **options)
+            said = write(partial, footages, camera_of(footages, **given), **options)
             said |= {"inputs": [str(f.path) for f in footages], "made_from": digest}
             write_json(partial / dataset.RECORD, said)
             if out.exists():
@@ -81,6 +79,12 @@ def make(
         finally:
             shutil.rmtree(partial, ignore_errors=True)
     return Made(out, out / f"{name}.yaml", said, kept=False)
+
+
+def _read_from(footages: Sequence[Footage], intrinsics: str = "", chessboard: str | Path = "", **given: Any) -> list[Any]:
+    """What the frames and the camera are read from, by content: a file or chessboard that was moved is the same one."""
+    boards = [Footage(chessboard)] if chessboard else []
+    return [*(footage.digest() for footage in (*footages, *boards)), file_digest(Path(intrinsics)) or intrinsics, given]
 
 
 def write(

@@ -23,7 +23,7 @@ from tqdm import tqdm
 
 from dualdepth.data.loading import TripletDataset
 from dualdepth.data.triplets import Triplet
-from dualdepth.device import Precision, device_name, has_bf16, keep_freed_memory
+from dualdepth.device import Precision, default_device, device_name, has_bf16, keep_freed_memory
 from dualdepth.evaluation.cost import latency
 from dualdepth.files import write_text
 from dualdepth.networks.architecture import Architecture
@@ -95,7 +95,7 @@ def median_step(name: str, training: Training, batch: dict[str, Any], device: to
 
 def bench(encoder: str, repeats: int) -> pd.DataFrame:
     """All measurements: columns what, value, unit."""
-    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    device = default_device()
     profile = load_profile("paper")
     precisions: list[Precision] = ["bf16", "float32"] if has_bf16(device) else ["float32"]
     training = profile.training.model_copy(update={"encoder": encoder, "precision": precisions[0]})

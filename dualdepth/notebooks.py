@@ -49,7 +49,7 @@ def run_notebook(name: str, out: str | Path, parameters: dict[str, Any]) -> Path
             papermill.execute_notebook(str(source), str(partial), parameters, cwd=str(root), **settings)
         except PapermillExecutionError as error:
             shutil.copyfile(partial, failed)
-            if error.ename in ("InputError", "PermissionError"):
+            if error.ename in ("InputError", "PermissionError", "SystemExit"):  # the last: a training that was told to stop
                 raise InputError(error.evalue) from None
             raise RuntimeError(f"{source.name} failed in cell {error.cell_index}: {error.ename}: {error.evalue}; see {failed}") from None
         except DeadKernelError:

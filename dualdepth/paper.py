@@ -115,7 +115,7 @@ ODDITIES = (
     "What the overhead table calls GFLOPs are multiply-accumulates: at two operations each, ResNet18's encoder alone (34.6) would exceed"
     " its row (33.11).",
 )
-"""What does not fit together inside the paper, a sentence each (docs/protocols.md, "Oddities inside the paper")."""
+"""What does not fit together inside the paper, a sentence each (docs/protocols.md, "Oddities of the paper")."""
 
 
 def table(name: str) -> pd.DataFrame:

@@ -4,6 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from dualdepth.networks import Network
 from dualdepth.networks.architecture import Design
 
 Size = Annotated[tuple[int, int], Field(description="(height, width) in pixels")]
@@ -213,6 +214,8 @@ class Evaluation(Settings):
 class Variant(Design, Settings):
     """One training: which network learns (the words of `Design`), from what, what it changes in the profile (`dualdepth/variants.yaml`)."""
 
+    network: Network
+    """See `Design`."""
     label: str
     """Its name in tables."""
     about: str

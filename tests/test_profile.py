@@ -183,6 +183,7 @@ def mine(network):
         ("train: {lr: , odometry_lr: , mine: }\n" + mine("dual, starts_from: odometry_lr"), "a leak"),
         (mine("dual"), "network dual needs a variant in `starts_from`"),
         (mine("single, starts_from: lr"), "network single has no variant in `starts_from`"),
+        ("variants: {mine: {label: a, about: x}}\n", "variants.mine.network"),
         (mine("lr, simlarity: dot"), "unknown setting variants.mine.simlarity; did you mean similarity"),
         ("train: {lr: , dual: , mine: }\n" + mine("dual, starts_from: dual"), "mine starts from dual, which is no variant of stage 1"),
         ("train: {mine: {training.augmentation.augment_first: false}}\n" + mine("single"), "augment_first must be true at high resolution"),

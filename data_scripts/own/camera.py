@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from dualdepth.data.kitti import calibration_entry, read_calibration
+from dualdepth.data.kitti import calibration_entry, numbered_lines, read_calibration
 from dualdepth.errors import InputError, reading
 
 FIELD = (20.0, 150.0)
@@ -71,7 +71,8 @@ def camera_of_file(path: str | Path, size: tuple[int, int]) -> Camera:
     path, said, origin, distortion = Path(path), size, "given", ()
     if path.suffix.lower() != ".json":
         values = read_calibration(path)
-        key = next((k for k in KEYS if k in values), KEYS[0])
+        keyless = not any(":" in line for _, line in numbered_lines(path))
+        key = "P0" if keyless else next((k for k in KEYS if k in values), KEYS[0])
         matrix = calibration_entry(values, key, 12, path).reshape(3, 4)[:, :3].copy()
         if (rectified := f"S_rect{key[-3:]}") in values and key.startswith("P_rect"):
             width, height = calibration_entry(values, rectified, 2, path)

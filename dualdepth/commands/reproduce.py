@@ -13,8 +13,8 @@ from dualdepth.files import check_writable, locked, remove_leftovers
 from dualdepth.notebooks import run_notebook
 from dualdepth.run import ROOTS, Run, add_roots, check_roots, parse_seeds
 
-DRY = {"-n", "--dry-run", "--dryrun"}
-"""Snakemake's options for only saying what it would run."""
+DRY = re.compile(r"--dry-?run|-[a-z]*n[a-z]*")
+"""Snakemake's options for only saying what it would run, such as `-np`."""
 
 
 def add_reproduce(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -48,7 +48,7 @@ def add_train(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -
 
 def _reproduce(arguments: argparse.Namespace) -> int:
     """Become Snakemake, which runs the chain under a lock, so that two runs of one profile cannot mix; a dry run needs none."""
-    run, dry = Run(arguments.profile), not DRY.isdisjoint(arguments.snakemake)
+    run, dry = Run(arguments.profile), any(map(DRY.fullmatch, arguments.snakemake))
     command = _snakemake_command(arguments, run.profile.seeds, ["host", "progress"] if dry else ["all"])
     check_writable(run.root / ".snakemake")  # of which Snakemake, being quiet, would not say a word
     with nullcontext() if dry else locked(run.work / "lock", inherited=True):

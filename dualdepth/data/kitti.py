@@ -174,15 +174,17 @@ def read_calibration(path: str | Path) -> dict[str, np.ndarray]:
     """Read a `key: numbers` calibration file (`calib_cam_to_cam.txt`, `calib_velo_to_cam.txt`, odometry's `calib.txt`).
 
     Returns:
-        Flat float64 arrays by key; lines that hold no numbers (`calib_time`) are left out. Line n without a key (`calib_p0_p1.txt`) is
-        that of camera n - 1: `P0`, `P1`, …
+        Flat float64 arrays by key; lines that hold no numbers (`calib_time`) are left out. In a file without any key
+        (`calib_p0_p1.txt`) the rows are `P0`, `P1`, …
 
     Raises:
         InputError: the file cannot be read or holds no calibration.
     """
-    values = {}
-    for number, line in numbered_lines(Path(path)):
-        key, rest = line.split(":", 1) if ":" in line else (f"P{number - 1}", line)
+    lines, values = [line for _, line in numbered_lines(Path(path))], {}
+    if not any(":" in line for line in lines):
+        lines = [f"P{number}: {line}" for number, line in enumerate(lines)]
+    for line in lines:
+        key, _, rest = line.partition(":")
         with contextlib.suppress(ValueError):
             values[key.strip()] = np.array([float(x) for x in rest.split()])
     values = {key: numbers for key, numbers in values.items() if numbers.size}

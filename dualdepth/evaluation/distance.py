@@ -1,6 +1,5 @@
 """Near and far parts of the depth metrics (paper, table "Evaluation on distant objects")."""
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -56,10 +55,3 @@ def evaluate_near_far(
     if not rows:
         raise InputError(f"none of the {len(ground_truths)} ground truths has a valid pixel; check the crop and the depth limits")
     return pd.DataFrame.from_dict(rows, orient="index").rename_axis(["image", "distance"])
-
-
-def far_share(frame: pd.DataFrame) -> float:
-    """Share of the valid pixels that are far, over all images of `evaluate_near_far`."""
-    pixels = frame["valid_pixels"].groupby("distance").sum()
-    total = pixels.sum()
-    return float(pixels.get(PARTS[1], 0) / total) if total else math.nan

@@ -130,12 +130,13 @@ def test_a_file_without_numbers_is_no_calibration(tmp_path, text):
         read_calibration(path)
 
 
-def test_a_calibration_entry_keeps_its_numbers_and_rows_without_names_are_cameras(tmp_path):
+def test_a_calibration_entry_keeps_its_numbers_and_rows_of_a_file_without_names_are_cameras(tmp_path):
     path = tmp_path / "calib.txt"
     path.write_text("4 5\nT: 1.5e-01 -2 3\n\n6 7\nR: a b\n")
     values = read_calibration(path)
-    assert calibration_entry(values, "T", 3, path).tolist() == [0.15, -2, 3]
-    assert values.keys() == {"P0", "T", "P3"} and values["P3"].tolist() == [6, 7]
+    assert values.keys() == {"T"} and calibration_entry(values, "T", 3, path).tolist() == [0.15, -2, 3]
+    path.write_text("\n4 5\n6 7\n")
+    assert {key: row.tolist() for key, row in read_calibration(path).items()} == {"P0": [4, 5], "P1": [6, 7]}
 
 
 def test_a_root_must_hold_date_folders(tmp_path):

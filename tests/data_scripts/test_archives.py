@@ -110,7 +110,7 @@ def test_a_corrupted_member_leaves_nothing_even_when_it_is_not_wanted(tmp_path, 
     refuse(write(archive, plain.replace(b"corrupt me", b"corrupt ME")), "CRC check failed", place=place)
 
 
-@pytest.mark.parametrize("content", [b"", b"no archive at all", gzip.compress(b"no tar at all" * 100)])
+@pytest.mark.parametrize("content", [b"", b"no archive at all", gzip.compress(b"no tar at all" * 100)], ids=["empty", "text", "gzip"])
 def test_what_is_no_archive_is_refused(tmp_path, content):
     refuse(write(tmp_path / "a", content), "not a whole zip or gzipped tar archive")
 

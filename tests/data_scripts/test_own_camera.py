@@ -80,6 +80,7 @@ def test_a_chessboard_straightens_the_frames_and_says_so(tmp_path, folder):
     straight = read_image(images(made.root, TRAIN)[4]).astype(float)
     assert np.abs(straight - frame(4)).mean() > 3, "the frames are written as they were filmed"
     assert intrinsics(made.root, dataset.DATE)[0, 0] == pytest.approx(made.record["undistorted_to"]["fx"], abs=1e-3)
+    assert own_camera.make([folder], tmp_path / "out", chessboard=board.rename(tmp_path / "moved"), squares="7x5").kept
 
 
 def test_the_same_again_is_kept_and_other_options_are_refused(folder, tmp_path):

@@ -1,7 +1,5 @@
 """Near and far pixels against a slow reference and closed forms."""
 
-import math
-
 import cv2
 import numpy as np
 import pytest
@@ -9,7 +7,7 @@ from slow_metrics import slow_metrics
 
 from dualdepth.errors import InputError
 from dualdepth.evaluation.depth import METRICS, evaluate
-from dualdepth.evaluation.distance import evaluate_near_far, far_share
+from dualdepth.evaluation.distance import evaluate_near_far
 
 NEAR, FAR = "<= 20 m", "> 20 m"
 
@@ -113,15 +111,6 @@ def test_the_parts_together_are_the_pixels_of_the_protocol():
     assert pixels.groupby("image").sum().tolist() == whole["valid_pixels"].tolist()
     mixed = (parts["abs_rel"] * pixels).groupby("image").sum() / pixels.groupby("image").sum()
     np.testing.assert_allclose(mixed, whole["abs_rel"])
-
-
-def test_the_far_share_is_of_all_pixels_not_the_mean_of_images():
-    small, large = np.full((1, 2), 8.0), np.full((10, 10), 8.0)
-    small[0, 0] = large[0, :7] = 50
-    frame = evaluate_near_far([np.ones((2, 2))] * 2, [small, large], crop="none")
-    assert far_share(frame) == pytest.approx(8 / 102)
-    assert far_share(frame.query("distance == @NEAR")) == 0 and far_share(frame.query("distance == @FAR")) == 1
-    assert math.isnan(far_share(frame.iloc[:0]))
 
 
 def test_an_empty_or_unequal_input_is_one_clear_error():

@@ -126,7 +126,8 @@ def test_a_json_that_is_no_camera_is_refused(tmp_path, text, said):
 
 @pytest.mark.parametrize("named", ["P_rect_02: ", "P2: ", "P0: ", ""])
 def test_kittis_calibration_files_are_read(tmp_path, named):
-    (tmp_path / "calib.txt").write_text(f"{named}290 0 163 4.5 0 285 117 0.2 0 0 1 0.003\n")
+    others = "" if named else 2 * "500 0 163 0 0 500 117 0 0 0 1 0\n"  # of rows without names the first counts
+    (tmp_path / "calib.txt").write_text(f"{named}290 0 163 4.5 0 285 117 0.2 0 0 1 0.003\n{others}")
     assert np.allclose(camera_of_file(tmp_path / "calib.txt", SIZE).matrix, TRUE)
 
 
