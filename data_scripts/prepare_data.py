@@ -71,9 +71,11 @@ def prepare(run: Run) -> Prepared:
     triplets = [triplet_paths(root, target, suffix) for target, suffix in with_suffix(root, targets)]
     films = [path for entry in sequences for path in frame_files(sources.odometry_root, entry).values()]
     shown = [path for frame in scored if (path := image_path(root, frame))]
-    broken = broken_frames([*itertools.chain(*triplets), *films], shown)
+    ridden = run.profile.odometry_sequences()[1] if sequences else []
+    judged = [*shown, *(path for entry in ridden for path in frame_files(sources.odometry_root, entry).values())]
+    broken = broken_frames([*itertools.chain(*triplets), *films], judged)
     named = "; ".join(broken.values())
-    if to_score := len(broken.keys() & set(shown)):
+    if to_score := len(broken.keys() & set(judged)):
         raise InputError(f"{to_score} frames to score are broken, and {len(broken) - to_score} others: {named}")
     if broken:
         print(f"{len(broken)} frames are broken and left out with their triplets: {named}")

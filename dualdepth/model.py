@@ -22,6 +22,8 @@ from dualdepth.training.weights import HUB_CARD, load_card, save_weights
 UNIT = 16.0
 """Relative depth is reported as 16 / disparity (1.6 … 1600). Stored as uint16 × 256, as KITTI's, that resolves near depths to 0.25 %."""
 WEIGHTS = "model.safetensors"
+HUB_OPTIONS = ("revision", "cache_dir", "token", "local_files_only", "force_download")
+"""What `from_pretrained` hands to the model hub."""
 README = """---
 library_name: dualdepth
 pipeline_tag: depth-estimation
@@ -150,6 +152,8 @@ class DepthModel(ModelHubMixin):
         Raises:
             InputError: it is not there, cannot be had, or is not of this project.
         """
+        if unknown := sorted(hub.keys() - HUB_OPTIONS):
+            raise TypeError(f"from_pretrained() has no option {', '.join(unknown)}; there are device, precision, {', '.join(HUB_OPTIONS)}")
         path = Path(name)
         if path.is_dir():
             path /= WEIGHTS

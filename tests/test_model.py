@@ -108,6 +108,8 @@ def test_a_name_on_the_hub_is_taken_from_its_cache_without_network_or_refused_in
         with pytest.raises(dualdepth.InputError, match=f"{name}: no folder, and not to be had from the model hub") as error:
             dualdepth.load(name)
         assert "\n" not in str(error.value)
+    with pytest.raises(TypeError, match="no option devise"):
+        dualdepth.DepthModel.from_pretrained(folder, devise="cpu")
 
 
 def change_end(file):

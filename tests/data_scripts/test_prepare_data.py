@@ -210,6 +210,9 @@ def test_broken_frames_of_odometry_are_named_and_left_out_too(with_odometry, pro
     assert (done.odometry, done.triplets) == (2, 3)
     told = capsys.readouterr().out
     assert told.startswith("2 frames are broken") and all(str(path) in told for path in spoilt)
+    cut(root / "sequences/09/image_2/000001.png")
+    with pytest.raises(InputError, match=r"1 frames to score are broken, and 2 others: .*sequences/09/image_2/000001\.png"):
+        prepare_data.prepare(make())
 
 
 def test_a_scored_sequence_must_be_there_with_its_poses(with_odometry):
