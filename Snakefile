@@ -26,7 +26,7 @@ PAGES = {
     "09_table_sharpness": ("sharpness", ["lr", "dual_no_sa", "dual"]),
     "10_table_sa_region": ("sa_region", ["dual_no_sa", "dual"]),
     "11_table_backbone": ("backbone", ["lr", "dual", "mobilenet_v2", "resnet18", "dual_scratch"]),
-    "12_table_odometry": ("odometry", ODOMETRY),
+    "12_table_odometry": ("odometry", list(run_.profile.pose_variants)),
     "13_figures": (None, ["lr", "dual"]),
 }
 # a data set of an own camera may be made anew in the same folder
@@ -188,7 +188,9 @@ rule report:
 
 
 onsuccess:
-    print(f"results of profile {NAME}: {RESULTS}/report.html, tables, figures, notebooks")
+    from dualdepth.report import first_look
+
+    print(first_look(run_))
 
 
 onerror:

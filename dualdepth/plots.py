@@ -206,6 +206,23 @@ def cost_bars(costs: pd.DataFrame) -> Picture:
     return figure
 
 
+def motions(pairs: dict[str, tuple[np.ndarray, np.ndarray]]) -> Picture:
+    """Predicted against true yaw and forward step, a column a sequence.
+
+    Args:
+        pairs: true and predicted (N, 2), yaw in degrees and step in metres, by title.
+    """
+    figure = Picture(figsize=(3.6 * len(pairs), 6.4), layout="constrained")
+    panels = figure.subplots(2, len(pairs), squeeze=False)
+    for column, (title, (truth, ours)) in enumerate(pairs.items()):
+        for axes, which, what in zip(panels[:, column], (0, 1), ("yaw, ° a frame", "forward step, m a frame")):
+            axes.axline((truth[:, which].mean(),) * 2, slope=1, color="0.7", linewidth=1)
+            axes.plot(truth[:, which], ours[:, which], ".", markersize=3)
+            axes.set(xlabel=f"true {what}", ylabel=f"predicted {what}")
+        panels[0, column].set_title(title)
+    return figure
+
+
 def trajectories(paths: dict[str, dict[str, np.ndarray]]) -> Picture:
     """Trajectories seen from above, a panel a sequence: x to the right and z up, in metres, at equal scale.
 

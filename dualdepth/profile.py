@@ -77,11 +77,22 @@ class Profile(Settings):
         """The depth network that a variant trains."""
         variant = self.variant(name)
         words = {field: getattr(variant, field) for field in Design.model_fields}
-        return Architecture(encoder=self.of_variant(name).training.encoder, **words)
+        training = self.of_variant(name).training
+        residual = variant.network == "dual" and training.beyond_paper_residual
+        return Architecture(encoder=training.encoder, residual=residual, **words)
 
     def trained_on(self, what: str) -> list[str]:
         """The variants to train on frames of the depth tables (`depth`) or of the odometry table (`odometry`)."""
         return [name for name in self.train if self.variant(name).trains_on == what]
+
+    @property
+    def pose_variants(self) -> tuple[str, str]:
+        """The trainings of stages 1 and 2 whose PoseNets are scored.
+
+        On KITTI the drives of the depth tables and the odometry sequences overlap, so each has trainings of its own; in the synthetic
+        world they share no street, and those of the depth tables are scored.
+        """
+        return ("lr", "dual") if self.world else ("odometry_lr", "odometry_dual")
 
     def odometry_sequences(self) -> tuple[list[str], list[str]]:
         """Odometry sequences to train on and to score."""

@@ -1,19 +1,24 @@
-"""Keep what a run made: its tables and figures as a committed snapshot, its executed tiny notebooks as the committed ones."""
+"""Keep what a run made: tables, figures and executed notebooks as a committed snapshot, those of tiny as the stored notebooks."""
 
 import argparse
 import ast
+import base64
 import json
 import re
 import shutil
 import sys
 from pathlib import Path
 
+import cv2
 import nbformat
+import numpy as np
 import papermill
 
 from dualdepth.errors import InputError, exit_on_input_error
 from dualdepth.files import atomic_path
 from dualdepth.run import Run
+
+PICTURE_WIDTH = 900
 
 
 def publish_results(profile: str) -> int:
@@ -32,6 +37,13 @@ def publish_results(profile: str) -> int:
     for folder in ("tables", "figures") if run.profile.world else ("tables",):  # frames of real data sets are not ours to publish
         if (run.results / folder).is_dir():
             shutil.copytree(run.results / folder, target / folder)
+    if run.profile.world and run.profile.name != "tiny":  # whose executed notebooks are the stored ones
+        (target / "notebooks").mkdir()
+        for path in sorted((run.results / "notebooks").glob("*.ipynb")):
+            notebook = nbformat.read(path, as_version=4)
+            _clean(notebook, path.stem[:2])
+            _shrink_pictures(notebook)
+            nbformat.write(notebook, target / "notebooks" / path.name)
     files = sum(path.is_file() for path in target.rglob("*"))
     print(f"{target.relative_to(run.root)}: {files} files")
     return files
@@ -62,6 +74,16 @@ def _default_copy(source: Path, folder: Path) -> nbformat.NotebookNode:
         if all(str(given[k]) == str(v) for k, v in defaults.items() if k in given):
             return notebook
     raise InputError(f"{folder}: holds no copy of {source.name} with its own parameters; run `make reproduce` first")
+
+
+def _shrink_pictures(notebook: nbformat.NotebookNode) -> None:
+    """Store the notebook's pictures as JPEG of at most `PICTURE_WIDTH` pixels, a tenth of their bytes."""
+    for output in (output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs):
+        if png := output.get("data", {}).pop("image/png", None):
+            picture = cv2.imdecode(np.frombuffer(base64.b64decode(png), np.uint8), cv2.IMREAD_COLOR)
+            scale = min(1.0, PICTURE_WIDTH / picture.shape[1])
+            picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+            output.data["image/jpeg"] = base64.b64encode(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 85])[1]).decode()
 
 
 def _clean(notebook: nbformat.NotebookNode, page: str) -> None:

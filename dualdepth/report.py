@@ -27,6 +27,8 @@ TITLES = {
     "backbone": "Backbones and their cost",
     "odometry": "Odometry",
 }
+FIRST_LOOK = "side_by_side"
+"""The picture to look at first."""
 HIDDEN = ("variant", "device", "seeds")
 """Columns of tables that the page does not show; the CSV files have them."""
 CAPTIONS = {
@@ -39,6 +41,7 @@ CAPTIONS = {
     "slim_objects": "Slim objects, enlarged.",
     "make3d": "Make3D photos, predicted depth, laser grid and relative error.",
     "odometry_trajectories": "Trajectories from above, laid on the truth with 7dof.",
+    "odometry_motions": "Predicted against true yaw and forward step, frame by frame.",
     "sa_region": "Regions, and the relative error without and with SA-Attention.",
 }
 
@@ -47,6 +50,8 @@ class Report(NamedTuple):
     """What the page shows."""
 
     about: str
+    headline: str
+    """What was learned, in a sentence."""
     caution: str
     """What the numbers are not; empty for the paper's profile."""
     claims: pd.DataFrame
@@ -72,7 +77,7 @@ UNSCORED_CAPTIONS = {
     "sharpness_boundaries": "Depth boundaries by the mean of all predictions, enlarged.",
 }
 """Where there is no ground truth."""
-FIGURE_OF = {"make3d": "make3d", "odometry_trajectories": "odometry", "sa_region": "sa_region"}
+FIGURE_OF = {"make3d": "make3d", "odometry_trajectories": "odometry", "odometry_motions": "odometry", "sa_region": "sa_region"}
 """Figures that are of one table, and left from an earlier run where that was not run."""
 CAUTIONS = {
     "none": "nothing here is judged: the networks were trained for a few steps, to show that everything runs.",
@@ -115,11 +120,32 @@ def make_report(run: Run) -> Report:
     figures = {name: path for name, path in figures.items() if FIGURE_OF.get(name) not in not_run}
     stamps = [path for path in sorted(folder.glob("*.json")) if not path.stem.startswith("report_")]
     stamps += [path.with_suffix(".json") for path in figures.values()]
-    more = {name: read[name] for name in ("odometry_trajectories", "odometry_claims") if name in read}
+    more = {name: read[name] for name in ("odometry_trajectories", "odometry_motions", "odometry_claims") if name in read}
     chosen = assumptions(run.profile.training.loss)
     captions = CAPTIONS if run.profile.data.has_truth else CAPTIONS | UNSCORED_CAPTIONS
     svg = path.read_text(encoding="utf-8") if (path := run.root / "docs/overview.svg").is_file() else ""
-    return Report(run.profile.about, caution, claims, numbers, tables, more, _provenance(run, stamps), figures, chosen, captions, svg)
+    said = headline(tables["main"])
+    return Report(run.profile.about, said, caution, claims, numbers, tables, more, _provenance(run, stamps), figures, chosen, captions, svg)
+
+
+def headline(main: pd.DataFrame) -> str:
+    """What was learned, in a sentence: errors of both networks, beside what the mean depth map of training streets has."""
+    measured = main[main["source"] == "measured"].set_index("method")["abs_rel"].dropna()
+    names = {
+        "LR-Net + HR-Net, w/ SA": "the dual network's depth is off by {:.1%} on average",
+        "LR-Net": "LR-Net's by {:.1%}",
+        "Train set mean": "the mean depth map of other streets by {:.1%}",
+    }
+    said = [words.format(measured[method]) for method, words in names.items() if method in measured]
+    return f"On frames that no training saw, {', '.join(said)}." if said else "Nothing was scored; what was learned shows in the pictures."
+
+
+def first_look(run: Run) -> str:
+    """What a run ends with: what was learned, and where to look."""
+    table = pd.read_csv(run.results / "tables" / "main.csv")
+    picture = run.results / "figures" / f"{FIRST_LOOK}.png"
+    where = f"Look first at {picture.relative_to(run.root)}, then at {(run.results / 'report.html').relative_to(run.root)}."
+    return f"{headline(table)}\n{where}"
 
 
 def _provenance(run: Run, stamps: Sequence[Path]) -> pd.DataFrame:
@@ -180,6 +206,7 @@ def html(report: Report, name: str) -> str:
         more={k: shown(k, frame) for k, frame in report.more.items()},
         oddities=paper.ODDITIES,
         rules=RULES,
+        first=FIRST_LOOK,
     )
 
 

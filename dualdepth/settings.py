@@ -50,7 +50,9 @@ class World(Settings):
     odometry_test: int = Field(2, ge=0, le=2)
     """Test sequences 09 and 10."""
     odometry_frames: int = Field(30, ge=3)
-    """Frames a training sequence; test sequences go on until their path is longer than 250 m."""
+    """Frames a training sequence."""
+    odometry_path: float = Field(250.0, ge=10)
+    """Metres that the path of a test sequence is longer than; trajectories are scored on segments from 100 m on."""
     odometry_spacing: float = Field(2.5, gt=0)
     """Mean metres between odometry frames: a fast car, so that 250 m need few frames."""
     make3d_images: int = Field(3, ge=0)
@@ -181,9 +183,11 @@ class Training(Settings):
     """Stage 2: HR-Net and SA-Attention beside a frozen LR-Net; PoseNet goes on from stage 1."""
     augmentation: Augmentation = Augmentation()
     loss: Loss = Loss()
+    beyond_paper_residual: bool = False
+    """Beyond the paper: in stage 2 HR-Net adds to LR-Net's logits and so begins with its depth; in the paper it begins from nothing."""
     precision: Literal["auto", "float32", "bf16"] = "auto"
-    """Of the networks; geometry and losses are always float32. `auto`: bf16 where the device computes in it, which is faster there, else
-    float32; a training ends in the precision in which it began, and its card says which that was."""
+    """Of the networks; geometry and losses are always float32. `auto`: where the device computes in bf16, the faster of the two by a step
+    of each, else float32; a training ends in the precision in which it began, and its card says which that was."""
     channels_last: bool = True
     workers: int = Field(2, ge=0)
     """Loader processes."""

@@ -3,6 +3,8 @@
 import torch
 from torch import nn
 
+from dualdepth.networks.decoder import Decoder
+
 
 class Net(nn.Module):
     """Has a depth network and a pose network by name."""
@@ -32,9 +34,19 @@ def trained_net():
     return net, optimizer
 
 
+def with_heads(net):
+    """With heads that look at their features, as after some steps; they begin at zero."""
+    for module in net.modules():
+        if isinstance(module, Decoder):
+            for head in module.heads:
+                nn.init.xavier_uniform_(head.weight)
+    return net
+
+
 def as_trained(net):
-    """In eval mode, with the batch norm statistics of a trained network, so that a zero at the border would show."""
+    """In eval mode, with heads and batch norm statistics of a trained network, so that a zero at the border would show."""
     torch.manual_seed(0)
+    with_heads(net)
     for module in net.modules():
         if isinstance(module, nn.BatchNorm2d):
             nn.init.normal_(module.running_mean, std=0.3)

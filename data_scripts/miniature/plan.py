@@ -16,8 +16,8 @@ RAW, ODOMETRY, MAKE3D = range(3)
 """Kinds of streets: part of their seeds, so that no two share a street."""
 FIRST_TEST_DRIVE = 101
 FIRST_TEST_SEQUENCE = 9
-TEST_PATH = 250.0
-"""Odometry is scored on segments from 100 m on; test sequences are longer than this, metres."""
+BENDS = (0.45, 0.85)
+"""How much a street winds: scored drives as the first, odometry sequences as the second, training drives in turns."""
 
 
 @dataclass
@@ -47,16 +47,16 @@ def plan_world(world: World, root: Path) -> Work:
     for number in range(world.odometry_train):
         _sequence(world, work, f"{number:02d}", (world.train_seed, ODOMETRY, number), frames=world.odometry_frames)
     for number in range(world.odometry_test):
-        _sequence(world, work, f"{FIRST_TEST_SEQUENCE + number:02d}", (world.test_seed, ODOMETRY, number), path=TEST_PATH)
+        _sequence(world, work, f"{FIRST_TEST_SEQUENCE + number:02d}", (world.test_seed, ODOMETRY, number), path=world.odometry_path)
     _photos(world, work)
     for name, lines in work.lists.items():
         work.texts[f"lists/{name}.txt"] = "".join(f"{line}\n" for line in lines)
     return work
 
 
-def _raw_drive(world: World, seed: tuple[int, ...], frames: int, still: tuple[int, int] = (0, 0)) -> Drive:
+def _raw_drive(world: World, seed: tuple[int, ...], frames: int, still: tuple[int, int] = (0, 0), bend: float = BENDS[0]) -> Drive:
     length = 1.3 * frames * world.frame_spacing + 10
-    plan = Plan(seed, length, bend=0.45, wavelength=180.0, pace=world.frame_spacing / PERIOD)
+    plan = Plan(seed, length, bend=bend, wavelength=180.0, pace=world.frame_spacing / PERIOD)
     return drive(plan, build_street(plan), world.frame_spacing, frames, still=still)
 
 
@@ -80,7 +80,7 @@ def _train_drive(world: World, work: Work, number: int) -> None:
     day, frames = formats.DATE, world.frames_per_drive
     name = f"{day}_drive_{number + 1:04d}_sync"
     still = (max(0, frames // 2 - world.static_frames // 2), world.static_frames) if number == 0 else (0, 0)
-    ride = _raw_drive(world, (world.train_seed, RAW, number), frames, still)
+    ride = _raw_drive(world, (world.train_seed, RAW, number), frames, still, BENDS[number % 2])
     scanned = set(np.linspace(0, frames - 1, world.laser_train_frames + 2)[1:-1].astype(int).tolist())
     work.shots += [_raw_shot(world, work, f"{day}/{name}", ride, k, k in scanned) for k in range(frames)]
     work.lists["train_drives"].append(f"{day}/{name}")
@@ -105,7 +105,7 @@ def _test_drive(world: World, work: Work, number: int) -> None:
 def _sequence(world: World, work: Work, name: str, seed: tuple[int, ...], frames: int = 0, path: float = 0.0) -> None:
     """An odometry sequence on a winding road, of a number of frames or longer than a path in metres."""
     length = 1.15 * path + 20 if path else 1.3 * frames * world.odometry_spacing + 10
-    plan = Plan(seed, length, bend=0.85, wavelength=210.0, movers=1)
+    plan = Plan(seed, length, bend=BENDS[1], wavelength=210.0, movers=1)
     ride = drive(plan, build_street(plan), world.odometry_spacing, frames, path)
     folder = f"kitti_odometry/sequences/{name}"
     matrix = formats.intrinsics(world.size)

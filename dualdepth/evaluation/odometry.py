@@ -165,6 +165,12 @@ def trajectory_errors(truth: Trajectory, prediction: Trajectory, align: str = "7
     }
 
 
+def yaw_and_step(poses: np.ndarray) -> np.ndarray:
+    """How far each pose turns to the right, in degrees, and goes forward, in metres, from the one before: (N − 1, 2) of poses (N, 4, 4)."""
+    moved = _between(poses[:-1], poses[1:])
+    return np.stack([np.degrees(np.arctan2(moved[:, 0, 2], moved[:, 2, 2])), moved[:, 2, 3]], axis=1)
+
+
 def _between(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return np.linalg.inv(first) @ second
 

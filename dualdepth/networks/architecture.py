@@ -32,6 +32,8 @@ class Architecture(Design):
 
     encoder: str = "resnet50"
     """See `make_encoder`; of no meaning for `hr`."""
+    residual: bool = False
+    """Beyond the paper: a dual network's HR-Net adds to LR-Net's logits; of no meaning for others."""
 
     @classmethod
     def of_card(cls, card: dict[str, Any]) -> "Architecture":
@@ -59,4 +61,4 @@ class Architecture(Design):
         if self.network == "hr":
             return HRNet()
         net = LRNet(self.encoder, pretrained)
-        return DualNet(net, self.link, self.similarity, self.normalise) if self.network == "dual" else net
+        return DualNet(net, self.link, self.similarity, self.normalise, self.residual) if self.network == "dual" else net

@@ -1,6 +1,5 @@
 """SA-Attention: LR-Net's deepest features, bundled with those of similar positions (paper, section "SA-Attention Module")."""
 
-import contextlib
 from typing import get_args
 
 import torch
@@ -8,12 +7,13 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from dualdepth.networks import Normalise, Similarity
+from dualdepth.networks.decoder import in_float32
 
 WIDTH = 128
 """Channels of the embedding f′; fitted to the paper's overhead table."""
-STARTING_GAIN = {("dot", "none"): 0.1, ("dot", "mean"): 0.35, ("cosine", "none"): 0.03}
-"""What the embedding's first weights are multiplied by, so that f″ starts near the scale of f: with 52 positions of 128 channels the
-literal form, cubic in f′, starts a thousand times larger. Other settings need no such start. An assumption; the paper is silent."""
+STARTING_RMS = 0.8
+"""Root mean square of f″ before the first step, that of the HR-Net features beside it. The literal form is cubic in f′, and with the usual
+first weights it starts up to a hundred times larger, by the encoder and its weights. An assumption; the paper is silent."""
 
 
 class SelfAssembledAttention(nn.Module):
@@ -33,17 +33,12 @@ class SelfAssembledAttention(nn.Module):
                 raise ValueError(f"{value!r} is unknown: choose one of {', '.join(get_args(known))}")
         self.similarity, self.normalise, self.mixing = similarity, normalise, mixing
         self.embed = nn.Conv2d(channels + 3 + 2, WIDTH, 1)
-        if mixing:
-            with torch.no_grad():
-                self.embed.weight.mul_(STARTING_GAIN.get((similarity, normalise), 1.0))
         self.scale: Tensor | None = None
         """Root mean square of the last training batch's f″ (0-d)."""
 
     def forward(self, features: Tensor, image: Tensor) -> Tensor:
         """Assembled features (B, 128, h, w) of features (B, C, h, w) and the image (B, 3, H, W) in [0, 1]; float32 throughout."""
-        kind = features.device.type
-        # the meta device, on which operations are counted, has no autocast to turn off
-        with torch.autocast(kind, enabled=False) if torch.amp.is_autocast_available(kind) else contextlib.nullcontext():
+        with in_float32(features.device.type):
             features = features.float()
             _, _, h, w = features.shape
             colours = F.adaptive_avg_pool2d(image.float(), (h, w))
@@ -56,6 +51,18 @@ class SelfAssembledAttention(nn.Module):
             if self.training:
                 self.scale = assembled.detach().square().mean().sqrt()
             return assembled
+
+    @torch.no_grad()
+    def begin(self, features: Tensor, image: Tensor) -> None:
+        """Scale the embedding, before the first step, so that f″ of this batch has the root mean square STARTING_RMS."""
+        first = {name: value.clone() for name, value in self.embed.named_parameters()}
+        low, high = -5.0, 3.0  # powers of ten
+        for _ in range(30):
+            gain = 10 ** ((low + high) / 2)
+            for name, value in self.embed.named_parameters():
+                value.copy_(first[name] * gain)
+            larger = self(features, image).square().mean().sqrt() > STARTING_RMS
+            low, high = (low, (low + high) / 2) if larger else ((low + high) / 2, high)
 
     def weights(self, f: Tensor) -> Tensor:
         """w_ij (B, N, N) of embedded features (B, C, N)."""

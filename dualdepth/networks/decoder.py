@@ -3,6 +3,7 @@
 Its widths were fitted to the six numbers of the paper's overhead table.
 """
 
+import contextlib
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -13,20 +14,34 @@ from torch.nn import functional as F
 WIDTHS = (256, 128, 64, 32, 16)
 """Channels from stride 16 to stride 1."""
 MAX_NECK = 512
+START_LOGIT = -4.0
+"""Of every pixel before the first step: disparity 0.19, so that there is room for a fiftieth and for fifty times of it."""
 DISPARITY_SCALE, DISPARITY_OFFSET = 10.0, 0.01
 """Disparity = 10 · sigmoid + 0.01 (SfMLearner), so that it lies in (0.01, 10.01)."""
 
 
 class DepthOutput(NamedTuple):
-    """What a depth network gives: disparities (B, 1, H/2^s, W/2^s) for s = 0 … 3, and the last features (B, 16, H, W)."""
+    """What a depth network gives at scales s = 0 … 3."""
 
-    disparities: list[Tensor]
+    logits: list[Tensor]
+    """(B, 1, H/2^s, W/2^s) before the sigmoid, float32."""
     features: Tensor
+    """(B, 16, H, W), the last."""
+
+    @property
+    def disparities(self) -> list[Tensor]:
+        """Inverse depths (B, 1, H/2^s, W/2^s)."""
+        return [DISPARITY_SCALE * torch.sigmoid(logit) + DISPARITY_OFFSET for logit in self.logits]
 
 
 def conv3x3(inputs: int, outputs: int) -> nn.Conv2d:
     """3×3 convolution with bias and reflection padding."""
     return nn.Conv2d(inputs, outputs, 3, padding=1, padding_mode="reflect")
+
+
+def in_float32(kind: str) -> contextlib.AbstractContextManager[object]:
+    """No autocast on a kind of device; the meta device, on which operations are counted, has none to turn off."""
+    return torch.autocast(kind, enabled=False) if torch.amp.is_autocast_available(kind) else contextlib.nullcontext()
 
 
 class Decoder(nn.Module):
@@ -49,18 +64,25 @@ class Decoder(nn.Module):
         self.has_lateral = [c is not None for c in laterals]
         self.merge = nn.ModuleList(nn.Sequential(conv3x3(w, w), nn.ELU(), conv3x3(w, w), nn.ELU()) for w in WIDTHS)
         self.heads = nn.ModuleList(conv3x3(w, 1) for w in WIDTHS[1:])
+        for layer in self.modules():
+            if isinstance(layer, nn.Conv2d):
+                nn.init.xavier_uniform_(layer.weight)
+                nn.init.zeros_(layer.bias)
+        for head in self.heads:
+            nn.init.zeros_(head.weight)
+            nn.init.constant_(head.bias, START_LOGIT)
 
     def forward(self, maps: Sequence[Tensor | None], scales: int = 4) -> DepthOutput:
         """Decode the encoder's five maps (finest first); `scales` heads are run, from the finest on."""
         *finer, x = maps
         x = self.neck(x)
-        disparities: list[Tensor] = []
+        logits: list[Tensor] = []
         for level, skip in enumerate([*reversed(finer), None]):
             x = F.interpolate(F.elu(self.up[level](x)), scale_factor=2, mode="nearest")
             if self.has_lateral[level]:
                 x = x + self.lateral[level](skip)
             x = self.merge[level](x)
             if level > 0 and len(WIDTHS) - level <= scales:
-                logits = self.heads[level - 1](x).float()  # bf16 cannot tell neighbouring depths apart
-                disparities.insert(0, DISPARITY_SCALE * torch.sigmoid(logits) + DISPARITY_OFFSET)
-        return DepthOutput(disparities, x)
+                with in_float32(x.device.type):  # bf16 cannot tell neighbouring depths apart
+                    logits.insert(0, self.heads[level - 1](x.float()))
+        return DepthOutput(logits, x)

@@ -80,15 +80,33 @@ class DualNet(nn.Module):
         link: what HR-Net receives, see `Design`.
         similarity: of SA-Attention.
         normalise: of SA-Attention.
+        residual: beyond the paper, HR-Net's logits are added to LR-Net's, enlarged, so that it begins with LR-Net's depth.
     """
 
-    def __init__(self, lr_net: LRNet, link: Link = "attention", similarity: Similarity = "dot", normalise: Normalise = "none") -> None:
+    def __init__(
+        self,
+        lr_net: LRNet,
+        link: Link = "attention",
+        similarity: Similarity = "dot",
+        normalise: Normalise = "none",
+        residual: bool = False,
+    ) -> None:
         super().__init__()
+        self.residual = residual
         self.lr_net = lr_net.requires_grad_(False)
         deepest = lr_net.encoder.channels[-1]
         self.attention = None if link == "direct" else SelfAssembledAttention(deepest, similarity, normalise, mixing=link == "attention")
         self.hr_net = HRNet(deepest if self.attention is None else WIDTH)
+        for head in self.hr_net.decoder.heads if residual else ():
+            nn.init.zeros_(head.bias)
         self.train(self.training)
+
+    def begin(self, image: Tensor) -> None:
+        """Give SA-Attention its starting scale, before the first step, from images (B, 3, H, W) of the training."""
+        if self.attention:
+            low = F.avg_pool2d(image, 3)
+            with torch.no_grad():
+                self.attention.begin(self.lr_net.encoder(low)[-1], low)
 
     def train(self, mode: bool = True) -> "DualNet":
         """Training mode for all but LR-Net, whose batch norm keeps the statistics of stage 1."""
@@ -102,10 +120,17 @@ class DualNet(nn.Module):
         with torch.no_grad():
             maps = self.lr_net.encoder(low)
         features = maps[-1]  # (B, C, H/96, W/96)
-        handed = features if self.attention is None else self.attention(features, low)
+        handed = self.attention(features, low) if self.attention else features
         enlarged = F.interpolate(handed, scale_factor=3, mode="bilinear", align_corners=False)
         output = self.hr_net(image, scales, enlarged)
-        return (output, self.lr_net.decoder(maps)) if with_lr_depth else output
+        if not self.residual and not with_lr_depth:
+            return output
+        with torch.no_grad():
+            low_output = self.lr_net.decoder(maps)
+        if self.residual:
+            start = (F.interpolate(low_output.logits[0], x.shape[-2:], mode="bilinear", align_corners=False) for x in output.logits)
+            output = output._replace(logits=[x + s for x, s in zip(output.logits, start)])
+        return (output, low_output) if with_lr_depth else output
 
 
 def _block(inputs: int, outputs: int, stride: int) -> list[nn.Module]:

@@ -10,14 +10,16 @@ import pandas as pd
 
 from dualdepth.data.odometry import drives_of, poses_path, sequence_of
 from dualdepth.evaluation.leaks import check_leak
-from dualdepth.evaluation.odometry import ALIGNMENTS
+from dualdepth.evaluation.odometry import ALIGNMENTS, yaw_and_step
 from dualdepth.evaluation.statistics import mean_std
 from dualdepth.run import Run, Sources
 from dualdepth.tables.odometry_scoring import (
     CONTROLS,
     LENGTHS,
     SequenceScores,
+    chain,
     known_sequences,
+    predicted_motions,
     score_control,
     score_sequence,
     true_trajectory,
@@ -25,7 +27,6 @@ from dualdepth.tables.odometry_scoring import (
 from dualdepth.tables.rows import COMPARISON, comparison_row, seed_label, training_note, with_paper
 from dualdepth.training.weights import load_card
 
-VARIANTS = ("odometry_lr", "odometry_dual")
 TRAJECTORY = ("t_err", "r_err", "ate", "rpe_t", "rpe_r")
 """t_err in % of the length, r_err in degrees per 100 m, ate and rpe_t in metres, rpe_r in degrees."""
 BLOCK = 50
@@ -53,14 +54,15 @@ def odometry_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
 
 
 def _methods(run: Run) -> dict[str, str]:
-    return {name: run.profile.variant(name).label for name in VARIANTS} | CONTROLS
+    labels = (run.profile.variant(name).label for name in ("odometry_lr", "odometry_dual"))
+    return dict(zip(run.profile.pose_variants, labels)) | CONTROLS
 
 
 def _why_not(run: Run, name: str) -> str:
     """Why a row cannot be run; nothing if it can."""
     if Sources.load(run).odometry_root is None:
         return NEEDS
-    if name in VARIANTS and name not in run.profile.train:
+    if name not in (*CONTROLS, *run.profile.train):
         return f"not run: profile {run.profile.name} does not train it"
     if not sequences(run):
         return f"not run: profile {run.profile.name} scores no sequence"
@@ -68,13 +70,13 @@ def _why_not(run: Run, name: str) -> str:
 
 
 def sequences(run: Run) -> list[str]:
-    """The sequences that are scored; none where they were not prepared, since nothing was trained for them."""
-    return run.profile.odometry_sequences()[1] if run.profile.trained_on("odometry") else []
+    """The sequences that are scored; none where nothing was trained for them."""
+    return run.profile.odometry_sequences()[1] if set(run.profile.pose_variants) & set(run.profile.train) else []
 
 
 def scored_variants(run: Run) -> list[str]:
-    """The odometry trainings that this run scores."""
-    return [name for name in VARIANTS if not _why_not(run, name)]
+    """The trainings that this run scores."""
+    return [name for name in run.profile.pose_variants if not _why_not(run, name)]
 
 
 def scored_with(run: Run, seeds: Sequence[int]) -> list[Path]:
@@ -87,7 +89,7 @@ def scored_with(run: Run, seeds: Sequence[int]) -> list[Path]:
 
 
 def _of_seeds(run: Run, name: str, seeds: Sequence[int], entry: str) -> list[SequenceScores]:
-    return [_sequence(run, name, seed, entry) for seed in seeds] if name in VARIANTS else [_control(run, name, entry)]
+    return [_sequence(run, name, seed, entry) for seed in seeds] if name not in CONTROLS else [_control(run, name, entry)]
 
 
 def _row(run: Run, name: str, seeds: Sequence[int], length: int) -> dict[str, Any]:
@@ -105,11 +107,11 @@ def _row(run: Run, name: str, seeds: Sequence[int], length: int) -> dict[str, An
             over_seeds(f"{metric}_{suffix}", scores, lambda s, metric=metric: s.trajectory["7dof"][metric])
         row[f"n_{suffix}"] = len(scores[0].snippets[length])
     row["n"] = sum(row[f"n_{sequence_of(entry)[0]}"] for entry in sequences(run))
-    if name not in VARIANTS:
+    if name in CONTROLS:
         return row | {"seeds": "", "note": _control_note(run, name)}
     cut = "each from one output of PoseNet" if length == 3 else "cut from the trajectory"
-    train = " ".join(run.profile.odometry_sequences()[0])
-    note = f"{training_note(run, name, seeds[0], drives=_drives(run))}, sequences {train}; snippets of {length} frames, {cut}"
+    train = "" if run.profile.world else f", sequences {' '.join(run.profile.odometry_sequences()[0])}"
+    note = f"{training_note(run, name, seeds[0], drives=_drives(run))}{train}; snippets of {length} frames, {cut}"
     return row | {"variant": name, "seeds": seed_label(seeds), "note": note}
 
 
@@ -132,7 +134,7 @@ def trajectory_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
         if _why_not(run, name):
             rows.append({"method": method, "source": "measured", "note": _why_not(run, name)})
             continue
-        trained = name in VARIANTS
+        trained = name not in CONTROLS
         leak = check_leak(load_card(run.weights(name, seeds[0])), _drives(run), allow=True) if trained else ""
         for entry in sequences(run):
             scores = _of_seeds(run, name, seeds, entry)
@@ -148,6 +150,38 @@ def trajectory_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
     return pd.DataFrame(rows).reindex(columns=columns)
 
 
+def motion_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
+    """Predicted against true motion, frame by frame: slope and correlation of yaw and of the forward step, means over seeds.
+
+    A slope of 1 is right, 0 is a PoseNet that does not turn. Predicted steps have no unit: they are first divided by the mean ratio.
+    """
+    rows = []
+    for name in scored_variants(run):
+        for entry in sequences(run):
+            fits = [_fit(*motions(run, name, seed, entry)) for seed in seeds]
+            row = {"method": _methods(run)[name], "variant": name, "sequence": sequence_of(entry)[0]}
+            rows.append(row | pd.DataFrame(fits).mean().to_dict() | {"seeds": seed_label(seeds), "source": "measured"})
+    columns = ["method", "variant", "sequence", "yaw_slope", "yaw_correlation", "step_slope", "step_correlation", "n", "seeds", "source"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def motions(run: Run, name: str, seed: int, entry: str) -> tuple[np.ndarray, np.ndarray]:
+    """True and predicted yaw (degrees a frame) and forward step (metres a frame) along a sequence, each (N − 1, 2)."""
+    truth = yaw_and_step(true_trajectory(run, entry).poses)
+    ours = yaw_and_step(chain(predicted_motions(run, name, seed, entry)))
+    ours[:, 1] *= truth[:, 1].mean() / ours[:, 1].mean()
+    return truth, ours
+
+
+def _fit(truth: np.ndarray, ours: np.ndarray) -> dict[str, float]:
+    values: dict[str, float] = {}
+    for column, what in enumerate(("yaw", "step")):
+        (variance, covariance), (_, other) = np.cov(truth[:, column], ours[:, column])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            values |= {f"{what}_slope": covariance / variance, f"{what}_correlation": covariance / np.sqrt(variance * other)}
+    return values | {"n": len(truth)}
+
+
 def odometry_claims(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
     """PoseNet against each control: t_err of the 7dof-aligned trajectory, and snippets of 3 frames paired; stage 2 against stage 1.
 
@@ -159,7 +193,7 @@ def odometry_claims(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
     for entry in sequences(run) if trained else []:
         place = f"sequence {sequence_of(entry)[0]}"
         pairs = [(name, control) for name in trained for control in CONTROLS]
-        pairs += [("odometry_dual", "odometry_lr")] if len(trained) == 2 else []
+        pairs += [(trained[1], trained[0])] if len(trained) == 2 else []
         for a, b in pairs:
             of_a, of_b = _of_seeds(run, a, seeds, entry), _of_seeds(run, b, seeds, entry)
             of_b = of_b * (len(of_a) // len(of_b))

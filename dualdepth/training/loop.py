@@ -9,16 +9,18 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from accelerate import Accelerator, DistributedDataParallelKwargs
-from accelerate.utils import set_seed
-from torch.utils.data import DataLoader
+from accelerate import Accelerator, DistributedDataParallelKwargs, PartialState
+from accelerate.utils import broadcast_object_list, set_seed
+from torch.utils.data import DataLoader, default_collate
 from tqdm import tqdm
 
 from dualdepth.data.loading import StatelessBatches, TripletDataset, make_loader
 from dualdepth.data.triplets import Triplet
-from dualdepth.device import choose_precision, default_device, device_name, is_main_process, several_on_cpu
+from dualdepth.device import Precision, choose_precision, default_device, device_name, is_main_process, process_count, several_on_cpu
 from dualdepth.errors import InputError
 from dualdepth.files import check_writable, remove_leftovers
+from dualdepth.geometry import to_unit
+from dualdepth.networks.depth_nets import DualNet
 from dualdepth.profile import Profile
 from dualdepth.settings import StageSettings
 from dualdepth.training.checkpoints import checkpoint_paths, last_checkpoint, save_checkpoint
@@ -73,10 +75,10 @@ class Trainer:
         self.stage, self.profile, self.settings, self.triplets = stage, profile, profile.training, triplets
         self.folder, self.seed, self.recipe = Path(folder), seed, recipe
         self.total, self.start, self.saved_at = total_steps(stage, len(triplets)), 0, time.monotonic()
+        self.dataset = TripletDataset(triplets, profile.data.hr_size, self.settings.augmentation, seed)
         checkpoint = last_checkpoint(self.folder, lambda line: print(line) if is_main_process() else None)
         resumed = bool(checkpoint) and checkpoint["recipe"] == recipe
-        chosen = choose_precision(self.settings.precision, default_device(), profile.data.lr_size)
-        self.precision = checkpoint["precision"] if resumed else chosen
+        self.precision = checkpoint["precision"] if resumed else self._choose_precision(make_model)
         # heads of scales that the loss does not look at get no gradient
         ddp = DistributedDataParallelKwargs(find_unused_parameters=self.settings.loss.scales < 4)
         bf16 = "bf16" if self.precision == "bf16" else "no"
@@ -91,6 +93,29 @@ class Trainer:
         if checkpoint and not resumed:
             step = checkpoint["step"]
             self.accelerator.print(f"{self.folder}: settings or code changed since the checkpoint of step {step}; training from the start")
+
+    def _choose_precision(self, make_model: Callable[[], Stage]) -> Precision:
+        """The profile's, or the one in which a step is faster; the main process chooses for all."""
+        device = default_device()
+        chosen = [
+            choose_precision(
+                self.settings.precision,
+                device,
+                self.profile.data.lr_size,
+                lambda p: step_seconds(make_model(), self._first_batch(), device, p),
+            )
+            if is_main_process()
+            else "float32"
+        ]
+        if process_count() > 1:
+            PartialState(cpu=several_on_cpu())
+            broadcast_object_list(chosen)
+        return chosen[0]
+
+    def _first_batch(self) -> dict[str, Any]:
+        """The whole batch of step 1."""
+        keys = next(iter(StatelessBatches(len(self.triplets), self.stage.batch_size, self.seed, 0, 1)))
+        return default_collate([self.dataset[key] for key in keys])
 
     def _prepare(self, make_model: Callable[[], Stage], checkpoint: dict[str, Any] | None) -> None:
         """Model and optimiser, new or as the checkpoint has them, on this process's device."""
@@ -113,6 +138,8 @@ class Trainer:
         if self.main and not self.start:
             for path in checkpoint_paths(self.folder):
                 path.unlink(missing_ok=True)
+        if not checkpoint and isinstance(model.depth_net, DualNet):
+            model.depth_net.begin(to_unit(self._first_batch()["images"][:, 0]))
         self.model, self.optimizer = self.accelerator.prepare(model, optimizer)
 
     def run(self, card: dict[str, Any]) -> Path:
@@ -162,8 +189,7 @@ class Trainer:
             processes=self.accelerator.num_processes,
         )
         self.accelerator.wait_for_everyone()
-        dataset = TripletDataset(self.triplets, self.profile.data.hr_size, self.settings.augmentation, self.seed)
-        return make_loader(dataset, batches, self.settings.workers)
+        return make_loader(self.dataset, batches, self.settings.workers)
 
     def _step(self, step: int, batches: Iterator[dict[str, Any]], logged: bool) -> tuple[StageOutput, list[dict[str, torch.Tensor]]]:
         """One optimisation step over all parts of its batch: the last part's output, and, where it is logged, each part's statistics."""
@@ -231,6 +257,21 @@ class Trainer:
                 path.unlink(missing_ok=True)
         self.accelerator.wait_for_everyone()
         return weights
+
+
+def step_seconds(model: Stage, batch: dict[str, Any], device: torch.device, precision: Precision) -> float:
+    """Seconds of a forward and a backward pass, the second of two: the first one makes room in memory."""
+    model = model.to(device, memory_format=torch.channels_last if model.channels_last else torch.preserve_format)
+    batch = {k: v.to(device) if torch.is_tensor(v) else v for k, v in batch.items()}
+    for _ in range(2):
+        began = time.perf_counter()
+        with torch.autocast(device.type, torch.bfloat16, enabled=precision == "bf16"):
+            total = model(batch).losses.total
+        total.backward()
+        if device.type == "cuda":
+            torch.cuda.synchronize()
+        seconds = time.perf_counter() - began
+    return seconds
 
 
 def one_line_errors(loader: DataLoader) -> Iterator[dict[str, Any]]:

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch.autograd import gradcheck
 
-from dualdepth.networks.attention import WIDTH, Normalise, SelfAssembledAttention, Similarity, coordinates, distances
+from dualdepth.networks.attention import STARTING_RMS, WIDTH, Normalise, SelfAssembledAttention, Similarity, coordinates, distances
 
 CHANNELS, SIZE = 5, (2, 3)
 SIMILARITIES, NORMALISES = get_args(Similarity), get_args(Normalise)
@@ -227,12 +227,14 @@ def test_the_scale_is_the_last_training_batchs_root_mean_square(mixing):
     assert set(attention.state_dict()) == {"embed.weight", "embed.bias"}
 
 
-@pytest.mark.parametrize(("similarity", "normalise"), [("dot", "none"), ("dot", "mean"), ("cosine", "none")])
-def test_it_starts_near_the_scale_of_its_features(similarity, normalise):
-    """As wide and as many as ResNet50's at the paper's size; without the gain the literal form is 200 times larger."""
-    attention = attention_of(similarity, normalise, channels=2048)
-    rng = torch.Generator().manual_seed(0)
-    features = torch.randn(2, 2048, 4, 13, generator=rng).relu()
+@pytest.mark.parametrize("scale", [0.1, 1, 10])
+@pytest.mark.parametrize(("similarity", "normalise", "mixing"), [*((*setting, True) for setting in SETTINGS), ("dot", "none", False)])
+def test_it_starts_at_the_scale_of_the_features_beside_it(similarity, normalise, mixing, scale):
+    attention = attention_of(similarity, normalise, mixing)
+    first = attention.embed.weight.detach().clone()
+    features, image = inputs()
+    attention.begin(scale * features, image)
     with torch.no_grad():
-        found = attention(features, torch.rand(2, 3, 128, 416, generator=rng))
-    assert 1 / 20 < found.square().mean().sqrt() / features.square().mean().sqrt() < 3
+        assert attention(scale * features, image).square().mean().sqrt() == pytest.approx(STARTING_RMS, rel=0.02)
+    gain = attention.embed.weight / first
+    assert gain.std() < 1e-4 * gain.mean() and gain.mean() > 0

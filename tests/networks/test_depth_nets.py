@@ -4,12 +4,13 @@ from typing import get_args
 
 import pytest
 import torch
-from small_nets import as_trained
+from small_nets import as_trained, with_heads
 from torch import nn
+from torch.nn import functional as F
 
 from dualdepth.evaluation.cost import count
 from dualdepth.networks import Link
-from dualdepth.networks.attention import SelfAssembledAttention
+from dualdepth.networks.attention import STARTING_RMS, SelfAssembledAttention
 from dualdepth.networks.depth_nets import HR_WIDTHS, DualNet, HREncoder, HRNet, LRNet
 
 SMALL, SIZE = (64, 96), (192, 288)
@@ -74,6 +75,38 @@ def test_parameters_and_macs_of_lr_net_are_those_fitted_to_the_papers_overhead_t
 def test_gradients_reach_every_parameter_of_lr_net():
     net = LRNet("resnet18")
     assert without_gradient(net, net(image(items=2, size=(64, 64)))) == []
+
+
+def rms_of_levels(net, *given):
+    """Root mean square of the neck and of each level of the decoder."""
+    found = []
+    for module in (net.decoder.neck, *net.decoder.merge):
+        module.register_forward_hook(lambda _module, _given, output: found.append(output.square().mean().sqrt().item()))
+    with torch.no_grad():
+        net.train()(*given)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("encoder", "pretrained"),
+    [("resnet18", False), ("resnet50", False), ("mobilenet_v2", False), ("efficientnet_lite0", False), ("efficientnet_lite0", True)],
+)
+def test_signals_keep_their_scale_down_lr_nets_decoder(encoder, pretrained):
+    torch.manual_seed(0)
+    neck, *levels = rms_of_levels(LRNet(encoder, pretrained), smooth_image())
+    assert all(neck / 3 < level < 3 * neck for level in levels)
+
+
+def smooth_image():
+    """Blobs of all sizes, as a picture has; (4, 3, 128, 384)."""
+    sizes = [F.interpolate(torch.rand(4, 3, 128 // s, 384 // s), (128, 384), mode="bilinear") for s in (2, 4, 8, 16, 32)]
+    return torch.stack(sizes).mean(0)
+
+
+def test_signals_keep_their_scale_down_hr_nets_decoder():
+    torch.manual_seed(0)
+    neck, *levels = rms_of_levels(HRNet(GLOBAL), smooth_image(), 4, STARTING_RMS * torch.randn(4, GLOBAL, 4, 12))
+    assert all(neck / 3 < level < 3 * neck for level in levels)
 
 
 # HR-Net
@@ -162,7 +195,7 @@ def dual_of(encoder):
 
     def make(link="attention", **settings):
         torch.manual_seed(0)
-        return DualNet(LRNet(encoder), link, **settings).eval()
+        return with_heads(DualNet(LRNet(encoder), link, **settings)).eval()
 
     return make
 
@@ -274,3 +307,41 @@ def test_under_bfloat16_features_stay_narrow_and_disparities_are_float32_and_fin
     assert all(d.dtype == torch.float32 and d.isfinite().all() for d in output.disparities)
     assert seen[0][0].dtype == output.features.dtype == torch.bfloat16
     assert net.attention.scale.dtype == torch.float32
+
+
+def test_a_residual_begins_with_lr_nets_depth_enlarged(encoder):
+    torch.manual_seed(0)
+    lr_net = with_heads(LRNet(encoder))
+    net = DualNet(lr_net, residual=True)
+    net.begin(image(items=2))
+    with torch.inference_mode():
+        high, low = net(image(), with_lr_depth=True)
+        fewer = net(image(), 1)
+    for scale, found in enumerate(high.logits):
+        size = (SIZE[0] >> scale, SIZE[1] >> scale)
+        assert torch.equal(found, F.interpolate(low.logits[0], size, mode="bilinear", align_corners=False))
+    assert low.logits[0].std() > 0.1
+    assert torch.equal(fewer.logits[0], high.logits[0])
+    with_heads(net.hr_net)
+    with torch.inference_mode():
+        moved = net(image())
+        alone = net.hr_net(image(), 4, given_handed(net))
+    assert torch.allclose(moved.logits[0], high.logits[0] + alone.logits[0], atol=1e-5)
+
+
+def given_handed(net):
+    """What HR-Net was handed for the first image."""
+    low = averaged(image())
+    with torch.inference_mode():
+        handed = net.attention(net.lr_net.encoder(low)[-1], low)
+    return F.interpolate(handed, scale_factor=3, mode="bilinear", align_corners=False)
+
+
+@pytest.mark.parametrize("link", ["attention", "embedding"])
+def test_what_is_handed_over_begins_at_the_scale_of_hr_nets_features(encoder, link):
+    net = DualNet(LRNet(encoder), link)
+    seen = given_to(net.hr_net)
+    net.begin(image(items=2))
+    with torch.inference_mode():
+        net(image(items=2))
+    assert seen[0][2].square().mean().sqrt() == pytest.approx(STARTING_RMS, rel=0.2)  # enlarging smooths

@@ -2,6 +2,8 @@
 
 import socket
 
+import cv2
+import numpy as np
 import pytest
 import torch
 from small_nets import as_trained
@@ -10,12 +12,13 @@ from torch.nn import functional as F
 
 from dualdepth.errors import InputError
 from dualdepth.networks.depth_nets import LRNet
-from dualdepth.networks.encoders import IMAGENET_MEAN, make_encoder
+from dualdepth.networks.encoders import IMAGENET_MEAN, SameConv2d, lite0_weights, make_encoder
 
 CHANNELS = {
     "resnet18": (64, 64, 128, 256, 512),
     "resnet50": (64, 256, 512, 1024, 2048),
     "mobilenet_v2": (16, 24, 32, 96, 320),
+    "efficientnet_lite0": (16, 24, 40, 112, 320),
 }
 NAMES = list(CHANNELS)
 
@@ -40,9 +43,10 @@ def test_maps_have_strides_2_to_32_and_the_networks_channels(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_no_convolution_pads_with_zeros(name):
-    padded = [m for m in LRNet(name).modules() if isinstance(m, nn.Conv2d) and any(m.padding)]
+    padded = [m for m in LRNet(name).modules() if isinstance(m, nn.Conv2d) and m.kernel_size[0] > 1]
     assert len(padded) > 20
-    assert {m.padding_mode for m in padded} == {"reflect"}
+    modes = {(m.kernel_size[0] == 5, m.padding_mode) for m in padded if any(m.padding) or isinstance(m, SameConv2d)}
+    assert modes <= {(False, "reflect"), (True, "replicate")}, "5×5 kernels are too large to reflect the deepest maps"
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -56,7 +60,7 @@ def test_a_flat_image_has_flat_maps_up_to_the_border(name):
         assert torch.allclose(found, found[..., :1, :1].expand_as(found), rtol=1e-3, atol=1e-4 * found.abs().max().item())
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", ["resnet18", "resnet50", "mobilenet_v2"])
 def test_the_first_convolution_is_that_of_the_mirrored_image(name):
     encoder = make_encoder(name).eval()
     first = next(m for m in encoder.modules() if isinstance(m, nn.Conv2d))
@@ -69,7 +73,7 @@ def test_the_first_convolution_is_that_of_the_mirrored_image(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_images_are_normalised_as_imagenet_weights_expect(name):
     encoder = as_trained(make_encoder(name))
-    grey = torch.tensor(IMAGENET_MEAN).view(1, 3, 1, 1).expand(1, 3, 64, 64)
+    grey = torch.tensor(IMAGENET_MEAN if name != "efficientnet_lite0" else [127 / 255] * 3).view(1, 3, 1, 1).expand(1, 3, 64, 64)
     with torch.inference_mode():
         for found, expected in zip(encoder(grey), encoder.stages(torch.zeros(1, 3, 64, 64))):
             assert torch.allclose(found, expected, atol=1e-5)
@@ -80,6 +84,62 @@ def test_mobilenet_leaves_the_padding_to_its_convolutions():
     encoder = make_encoder("mobilenet_v2")
     assert not any(m.config.tf_padding for m in encoder.modules() if hasattr(m, "config"))
     assert {m.momentum for m in encoder.modules() if isinstance(m, nn.BatchNorm2d)} == {0.1}
+
+
+def plain_lite0(images):
+    """EfficientNet-Lite0 written down on the file's weights, with the zero padding they learned with: five maps, 1000 logits."""
+    weights = iter(lite0_weights().values())
+
+    def layer(x, kernel=1, stride=1, groups=1, relu=True):
+        before = (kernel - stride) // 2
+        x = F.pad(x, (before, kernel - stride - before) * 2)
+        x = F.conv2d(x, next(weights), stride=stride, groups=groups)
+        gamma, beta, mean, variance, _ = (next(weights) for _ in range(5))
+        x = F.batch_norm(x, mean, variance, gamma, beta, eps=1e-3)
+        return F.relu6(x) if relu else x
+
+    x, maps, width = layer((255 * images - 127) / 128, 3, 2), [], 32
+    blocks = [(1, 16, 1, 3), (6, 24, 2, 3), (6, 24, 1, 3), (6, 40, 2, 5), (6, 40, 1, 5), (6, 80, 2, 3), *[(6, 80, 1, 3)] * 2]
+    blocks += [*[(6, 112, 1, 5)] * 3, (6, 192, 2, 5), *[(6, 192, 1, 5)] * 3, (6, 320, 1, 3)]
+    for expansion, outputs, stride, kernel in blocks:
+        inside = layer(x) if expansion > 1 else x
+        y = layer(layer(inside, kernel, stride, groups=inside.shape[1]), relu=False)
+        x, width = (x + y if stride == 1 and width == outputs else y), outputs
+        maps.append(x)
+    logits = F.linear(layer(x).mean((2, 3)), next(weights), next(weights))
+    assert next(weights, None) is None
+    return [maps[k] for k in (0, 2, 4, 10, 15)], logits
+
+
+def traffic_light(size=224):
+    """A picture of one: red, yellow, green on a dark box in front of a sky."""
+    picture = np.full((size, size, 3), (150, 190, 230), np.uint8)
+    cv2.rectangle(picture, (75, 10), (150, 205), (25, 28, 25), -1)
+    for row, colour in ((45, (255, 40, 30)), (107, (60, 50, 20)), (170, (15, 50, 35))):
+        cv2.circle(picture, (112, row), 26, colour, -1, cv2.LINE_AA)
+    return torch.from_numpy(cv2.GaussianBlur(picture, (0, 0), 1)).permute(2, 0, 1)[None] / 255
+
+
+def test_lite0_computes_what_its_weights_learned_to():
+    """Stride, order, normalisation: with zeros beyond the border its maps are those of the classifier, which knows what it sees."""
+    encoder, picture = make_encoder("efficientnet_lite0", pretrained=True).eval(), traffic_light()
+    for module in encoder.modules():
+        if isinstance(module, SameConv2d):
+            module.padding_mode = "constant"
+    with torch.inference_mode():
+        expected, logits = plain_lite0(picture)
+        found = encoder(picture)
+    assert all(torch.allclose(a, b, rtol=1e-3, atol=1e-3) for a, b in zip(found, expected, strict=True))
+    assert logits.argmax() == 920  # traffic light
+
+
+def test_lite0s_weights_are_those_that_were_published(tmp_path):
+    with pytest.raises(InputError, match="cannot be read"):
+        make_encoder("efficientnet_lite0", pretrained=str(tmp_path / "nowhere.pth"))
+    other = tmp_path / "other.pth"
+    torch.save({}, other)
+    with pytest.raises(InputError, match=f"{other}: sha256"):
+        make_encoder("efficientnet_lite0", pretrained=str(other))
 
 
 def donor_of(name, folder):
@@ -183,5 +243,5 @@ def test_a_backbone_of_one_scale_and_a_folder_that_holds_no_network_are_refused(
     with pytest.raises(InputError, match="a hierarchical backbone with 4, 8, 16, 32 is needed"):
         make_encoder(str(tmp_path))
     (tmp_path / "config.json").write_text("{}")
-    with pytest.raises(InputError, match="not resnet50, resnet18, mobilenet_v2 nor a usable AutoBackbone"):
+    with pytest.raises(InputError, match="not resnet50, resnet18, mobilenet_v2, efficientnet_lite0 nor a usable AutoBackbone"):
         make_encoder(str(tmp_path))
