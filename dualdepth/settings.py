@@ -147,8 +147,9 @@ class Loss(Settings):
     """λ3; small, since learned features can shrink to please it; 0 switches the loss off (the paper argues for it)."""
     alpha: float = 0.85
     """Share of SSIM in the photometric loss (paper)."""
-    mean_disparity: float = 10.0
-    """Spatial mean that each image's disparity is divided to, as DDVO codes it (0.1 × the mean); PoseNet's 0.01 fits steps of that size."""
+    mean_disparity: float = 1.0
+    """Spatial mean that each image's disparity is divided to, as DDVO writes it; its code has 10, where a unit of translation moves pixels
+    ten times as far as a unit of rotation, and rotation is learned last."""
     scales: int = Field(4, ge=1, le=4)
     """Resolutions 1/1, 1/2, 1/4, 1/8 (paper)."""
     beyond_paper_automask: bool = False
@@ -174,9 +175,10 @@ class Training(Settings):
     """Both stages and how they run."""
 
     encoder: str = "resnet50"
-    """LR-Net's encoder: resnet50, resnet18, mobilenet_v2, or a hierarchical AutoBackbone's name or folder."""
+    """LR-Net's encoder: resnet50, resnet18, mobilenet_v2, efficientnet_lite0, or a hierarchical AutoBackbone's name or folder."""
     pretrained: bool | str = True
-    """ImageNet weights for the encoder (paper), from the hub or its cache; a local folder to take them from; false needs no network."""
+    """ImageNet weights for the encoder (paper), from the hub or its cache, for efficientnet_lite0 from a package; a local folder to take
+    them from; false needs no network."""
     lr: StageSettings = StageSettings()
     """Stage 1: LR-Net and PoseNet."""
     hr: StageSettings = StageSettings()

@@ -126,7 +126,7 @@ class Trainer:
             model = model.to(memory_format=torch.channels_last)
         self.trained = [p for p in model.parameters() if p.requires_grad]
         betas = self.stage.beta1, self.stage.beta2
-        optimizer = torch.optim.Adam(self.trained, lr=self.stage.learning_rates[0][1], betas=betas)
+        optimizer = torch.optim.Adam(self.trained, lr=self.stage.learning_rates[0][1], betas=betas, fused=True)
         if checkpoint:
             model.load_state_dict(checkpoint["model"])
             optimizer.load_state_dict(checkpoint["optimizer"])
