@@ -1,6 +1,6 @@
-# make reproduce [PROFILE=tiny] [KITTI_ROOT=dir] [ODOMETRY_ROOT=dir] [MAKE3D_ROOT=dir] [LABELS_ROOT=dir] [TEST_LIST=file]
+# make reproduce [PROFILE=miniature] [KITTI_ROOT=dir] [ODOMETRY_ROOT=dir] [MAKE3D_ROOT=dir] [LABELS_ROOT=dir] [TEST_LIST=file]
 #                [SEEDS=0,1,2] [ALLOW_LEAK=1] · make test · make help
-PROFILE ?= tiny
+PROFILE ?= miniature
 PYTHON ?= python3.11
 VENV := .venv
 export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
@@ -14,7 +14,7 @@ STAMP := $(VENV)/.installed
 .PHONY: help env reproduce status test soak lab lint browser lock bench publish notebooks clean
 
 help: ## what can be made
-	@echo "make reproduce [PROFILE=tiny] [KITTI_ROOT=dir] [ODOMETRY_ROOT=dir] [MAKE3D_ROOT=dir] [LABELS_ROOT=dir] [TEST_LIST=file]"
+	@echo "make reproduce [PROFILE=miniature] [KITTI_ROOT=dir] [ODOMETRY_ROOT=dir] [MAKE3D_ROOT=dir] [LABELS_ROOT=dir] [TEST_LIST=file]"
 	@echo "               [SEEDS=0,1,2] [ALLOW_LEAK=1], and:"
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 12
 

@@ -6,7 +6,7 @@ from dualdepth.files import file_digest, folder_digest
 from dualdepth.run import RECORD, ROOTS, Run
 from dualdepth.staleness import PACKAGE, inputs
 
-PROFILE = config.get("profile", "tiny")
+PROFILE = config.get("profile", "miniature")
 run_ = Run(PROFILE)
 NAME = run_.profile.name
 SEEDS = [int(s) for s in str(config.get("seeds", "")).split(",") if s] or run_.profile.seeds

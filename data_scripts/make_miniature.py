@@ -1,6 +1,6 @@
 """Make the embedded synthetic street world, in KITTI's own formats.
 
-    python data_scripts/make_miniature.py --profile tiny [--out DIR]
+    python data_scripts/make_miniature.py --profile miniature [--out DIR]
 
 Below `work/<profile>/miniature/`: `kitti_raw`, `kitti_odometry` and `make3d` as those data sets unpack, `lists` in the
 field's formats, `dense_depth` and `labels` of the test frames. Size, length and seeds are the profile's section `world`.
@@ -98,7 +98,7 @@ def _render(shots: list, progress: bool, processes: int) -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--profile", default="tiny", help="profile with a section `world`: tiny, miniature, or a YAML file")
+    parser.add_argument("--profile", default="miniature", help="profile with a section `world`: tiny, miniature, or a YAML file")
     parser.add_argument("--out", type=Path, help="folder to write (default: work/<profile>/miniature)")
     given = parser.parse_args(arguments)
     with exit_on_input_error():

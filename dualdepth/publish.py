@@ -107,7 +107,7 @@ def main(argv: list[str] | None = None) -> int:
     """Run the command line."""
     parser = argparse.ArgumentParser(description="Keep what a run made.")
     parser.add_argument("what", choices=("results", "notebooks"))
-    parser.add_argument("--profile", default="tiny")
+    parser.add_argument("--profile", default="miniature")
     arguments = parser.parse_args(argv)
     with exit_on_input_error():
         publish_notebooks() if arguments.what == "notebooks" else publish_results(arguments.profile)

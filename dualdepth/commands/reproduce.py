@@ -20,7 +20,7 @@ DRY = re.compile(r"--dry-?run|-[a-z]*n[a-z]*")
 def add_reproduce(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Add the subcommand `reproduce`."""
     parser = commands.add_parser("reproduce", help="run all notebooks of a profile in order, and only what is not done yet")
-    parser.add_argument("--profile", default="tiny", help="tiny, miniature, sample, paper, own, or a YAML file (default: %(default)s)")
+    parser.add_argument("--profile", default="miniature", help="tiny, miniature, sample, paper, own, or a YAML file (default: %(default)s)")
     add_roots(parser)
     parser.add_argument("--seeds", default="", metavar="0,1,2", help="seeds to train instead of the profile's")
     parser.add_argument("--cores", default="all", help="cores Snakemake may use (default: %(default)s)")
@@ -40,7 +40,7 @@ def add_notebook(commands: "argparse._SubParsersAction[argparse.ArgumentParser]"
 def add_train(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Add the subcommand `train`."""
     parser = commands.add_parser("train", help="train one variant of a profile, or go on with it")
-    parser.add_argument("--profile", default="tiny", help="tiny, miniature, sample, paper, own, or a YAML file (default: %(default)s)")
+    parser.add_argument("--profile", default="miniature", help="tiny, miniature, sample, paper, own, or a YAML file (default: %(default)s)")
     parser.add_argument("--variant", default="lr", help="which network (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="of initialisation, order and augmentation (default: %(default)s)")
     parser.set_defaults(run=_train)
