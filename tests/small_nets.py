@@ -3,7 +3,8 @@
 import torch
 from torch import nn
 
-from dualdepth.networks.decoder import Decoder
+from dualdepth.networks.decoder import Decoder, DepthOutput
+from dualdepth.networks.pose_net import PoseNet
 
 
 class Net(nn.Module):
@@ -35,12 +36,16 @@ def trained_net():
 
 
 def with_heads(net):
-    """With heads that look at their features, as after some steps; they begin at zero."""
+    """With heads, and a last layer of PoseNet, that look at their features, as after some steps; they begin at zero."""
     for module in net.modules():
-        if isinstance(module, Decoder):
-            for head in module.heads:
-                nn.init.xavier_uniform_(head.weight)
+        for layer in module.heads if isinstance(module, Decoder) else [module.layers[-1]] if isinstance(module, PoseNet) else []:
+            nn.init.xavier_uniform_(layer.weight)
     return net
+
+
+def output_of(disparities, features):
+    """A depth network's output with these disparities, between 0.01 and 10.01."""
+    return DepthOutput([torch.logit((d - 0.01) / 10, eps=1e-7) for d in disparities], features)
 
 
 def as_trained(net):

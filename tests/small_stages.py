@@ -9,7 +9,7 @@ import torch
 from safetensors.torch import load_file
 from small_encoder import save_encoder
 from small_kitti import DRIVE, write_calibration, write_drive
-from small_nets import equal  # noqa: F401
+from small_nets import equal, with_heads  # noqa: F401
 from small_training import quiet_torch  # noqa: F401
 
 from data_scripts.prepare_data import write_identity
@@ -46,7 +46,7 @@ def dual_of(encoder):
 
     def make(link="attention"):
         torch.manual_seed(0)
-        return DualNet(LRNet(encoder), link).train()
+        return with_heads(DualNet(LRNet(encoder), link)).train()
 
     return make
 

@@ -10,12 +10,12 @@ import PIL.Image
 import pytest
 import torch
 from small_kitti import wall
+from small_nets import output_of
 from torch import nn
 
 import dualdepth
 from dualdepth.cli import main
 from dualdepth.data.frames import Video
-from dualdepth.networks.decoder import DepthOutput
 
 ABOUT = "a net, trained on 7 triplets: a synthetic street world"
 
@@ -28,7 +28,7 @@ class Brightness(nn.Module):
         self.weight = nn.Parameter(torch.ones(1))
 
     def forward(self, image, scales=4):
-        return DepthOutput([self.weight * 10 * image.mean(1, keepdim=True) + 0.01], image)
+        return output_of([self.weight * 10 * image.mean(1, keepdim=True) + 0.01], image)
 
 
 @pytest.fixture(autouse=True)

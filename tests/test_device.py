@@ -22,20 +22,32 @@ CPU, GPU = torch.device("cpu"), torch.device("cuda")
 )
 def test_a_cpu_computes_in_bf16_if_it_has_instructions_for_it(monkeypatch, instructions, expected):
     monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: instructions)
-    assert choose_precision("auto", CPU, (128, 416)) == expected
-    assert choose_precision("auto", CPU, (64, 64)) == "float32"
+    assert choose_precision("auto", CPU, (128, 416), seconds({"bf16": 1, "float32": 2})) == expected
+    assert choose_precision("auto", CPU, (64, 64), seconds({"bf16": 1, "float32": 2})) == "float32"
+
+
+def seconds(times):
+    """How long a step takes in each precision."""
+    return times.__getitem__
+
+
+def test_the_faster_precision_is_taken_and_nothing_is_timed_where_there_is_no_choice(monkeypatch):
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"avx512_bf16": True})
+    assert choose_precision("auto", CPU, (128, 416), seconds({"bf16": 3, "float32": 2})) == "float32"
+    monkeypatch.setattr(torch.cpu, "get_capabilities", dict)
+    assert choose_precision("auto", CPU, (128, 416), seconds({})) == "float32"
 
 
 def test_a_gpu_that_only_imitates_bf16_computes_in_float32(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_bf16_supported", lambda including_emulation=True: including_emulation)
-    assert choose_precision("auto", GPU, (128, 416)) == "float32"
+    assert choose_precision("auto", GPU, (128, 416), seconds({})) == "float32"
     monkeypatch.setattr(torch.cuda, "is_bf16_supported", lambda including_emulation=True: True)
-    assert choose_precision("auto", GPU, (128, 416)) == "bf16"
+    assert choose_precision("auto", GPU, (128, 416), seconds({"bf16": 1, "float32": 2})) == "bf16"
 
 
 @pytest.mark.parametrize("setting", ["float32", "bf16"])
 def test_what_the_profile_says_holds_on_every_device(setting):
-    assert choose_precision(setting, CPU, (128, 416)) == setting
+    assert choose_precision(setting, CPU, (128, 416), seconds({})) == setting
 
 
 def test_this_cpu_says_the_same_as_its_operating_system():

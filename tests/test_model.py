@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import torch
 from small_kitti import wall
+from small_nets import output_of
 from torch import nn
 
 import dualdepth
 from dualdepth.inference.predict import load_depth_net, predict_disparities
 from dualdepth.model import UNIT, choose_device, inference_precision
-from dualdepth.networks.decoder import DepthOutput
 from dualdepth.training.weights import save_weights
 
 CARD = {
@@ -169,7 +169,7 @@ def test_the_network_computes_in_the_precision_and_depth_is_float32(precision, d
         def forward(self, image, scales):
             found = nn.functional.conv2d(image, torch.ones(1, 3, 1, 1))
             self.dtype = found.dtype
-            return DepthOutput([found.abs() + 1], found)
+            return output_of([found.abs() + 1], found)
 
     seen = Seen()
     depth = dualdepth.DepthModel(CARD, seen, device="cpu", precision=precision).predict(wall(60, 80))

@@ -1,13 +1,17 @@
 """What is kept of a run: no results of code that was not committed, no real frames, and the notebooks as they are by default."""
 
+import base64
 import json
 import re
 
+import cv2
 import nbformat
+import numpy as np
 import pandas as pd
 import pytest
 
 from dualdepth.errors import InputError
+from dualdepth.profile import profile_file
 from dualdepth.publish import publish_notebooks, publish_results
 from dualdepth.run import Run
 
@@ -132,3 +136,20 @@ def test_a_styled_table_is_stored_alike_each_time(project):
         stored.append([output.data["text/html"] for output in nbformat.read(source, as_version=4).cells[-1].outputs[1:]])
     assert stored[0] == stored[1]
     assert [set(re.findall(r"T_[0-9a-f_]+?(?=_row|_level|\")", html)) for html in stored[0]] == [{"T_2_1"}, {"T_2_2"}]
+
+
+def test_executed_notebooks_of_a_world_that_learned_are_kept_with_small_pictures(project, results_of):
+    (project / "world.yaml").write_text(profile_file("tiny").read_text())
+    profile = str(project / "world.yaml")
+    results_of(profile)
+    picture = np.random.default_rng(0).integers(0, 255, (60, 2000, 3), np.uint8)
+    png = base64.b64encode(cv2.imencode(".png", picture)[1].tobytes()).decode()
+    cell = nbformat.v4.new_code_cell("show()", outputs=[nbformat.v4.new_output("display_data", {"image/png": png})])
+    executed = project / "results/world/notebooks/05_a.ipynb"
+    (executed.parent / "05.ipynb").unlink()
+    nbformat.write(nbformat.v4.new_notebook(cells=[cell]), executed)
+    publish_results(profile)
+    stored = nbformat.read(project / "results/published/world/notebooks/05_a.ipynb", as_version=4)
+    assert set(stored.cells[0].outputs[0].data) == {"image/jpeg"}
+    small = cv2.imdecode(np.frombuffer(base64.b64decode(stored.cells[0].outputs[0].data["image/jpeg"]), np.uint8), cv2.IMREAD_COLOR)
+    assert small.shape == (27, 900, 3)

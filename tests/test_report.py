@@ -10,7 +10,7 @@ import pytest
 
 from dualdepth import paper, report
 from dualdepth.errors import InputError
-from dualdepth.report import TITLES, assumptions, html, make_report, write_report
+from dualdepth.report import TITLES, assumptions, first_look, headline, html, make_report, write_report
 from dualdepth.run import Run, project_root
 
 
@@ -140,3 +140,19 @@ def test_every_figure_of_the_chain_has_a_caption():
     for path in (project_root() / "notebooks").glob("*.ipynb"):
         saved |= set(re.findall(r'save_figure\([^\n]*?, \\"(\w+)\\", ', path.read_text()))
     assert saved and saved <= set(report.CAPTIONS)
+
+
+def test_a_run_ends_with_what_was_learned_and_where_to_look(make_run):
+    run = make_run("paper")
+    table = pd.DataFrame(
+        {"method": ["LR-Net", "LR-Net + HR-Net, w/ SA", "Train set mean"], "source": "measured", "abs_rel": [0.2, 0.18, 0.3]}
+    )
+    paper_row = pd.DataFrame([{"method": "LR-Net", "source": "paper", "abs_rel": 0.5}])
+    (run.results / "tables").mkdir(parents=True, exist_ok=True)
+    pd.concat([paper_row, table]).to_csv(run.results / "tables" / "main.csv", index=False)
+    said = first_look(run)
+    assert all(
+        words in said for words in ("20.0%", "18.0%", "30.0%", "results/paper/figures/side_by_side.png", "results/paper/report.html")
+    )
+    assert "50.0%" not in said
+    assert "%" not in headline(table.assign(abs_rel=float("nan")))

@@ -106,14 +106,12 @@ def _sequence(world: World, work: Work, name: str, seed: tuple[int, ...], frames
     """An odometry sequence on a winding road, of a number of frames or longer than a path in metres."""
     length = 1.15 * path + 20 if path else 1.3 * frames * world.odometry_spacing + 10
     plan = Plan(seed, length, bend=BENDS[1], wavelength=210.0, movers=1)
-    # PoseNet alone sees them, averaged 3x3, where they are not trained on
-    supersample = 1 if path else world.supersample
     ride = drive(plan, build_street(plan), world.odometry_spacing, frames, path)
     folder = f"kitti_odometry/sequences/{name}"
     matrix = formats.intrinsics(world.size)
     for k, (pose, time) in enumerate(zip(ride.poses, ride.times)):
         image = work.root / folder / "image_2" / f"{k:06d}.png"
-        work.shots.append(Shot(plan, pose, time, matrix, world.size, supersample, image))
+        work.shots.append(Shot(plan, pose, time, matrix, world.size, world.supersample, image))
     work.texts[f"{folder}/calib.txt"] = formats.odometry_calibration_text(world.size)
     work.texts[f"kitti_odometry/poses/{name}.txt"] = formats.poses_text(ride.poses)
 

@@ -12,6 +12,7 @@ import onnx
 import pytest
 import torch
 from small_kitti import wall
+from small_nets import with_heads
 from torch import nn
 
 from dualdepth.cli import main
@@ -56,7 +57,7 @@ def save(encoder, tmp_path_factory):
     def call(network):
         torch.manual_seed(0)
         architecture = Architecture(network=network, encoder=encoder)
-        net = architecture.build()
+        net = with_heads(architecture.build())
         spread(net, architecture.sees_low_resolution)
         whole = nn.ModuleDict({"depth_net": net, "pose_net": nn.Linear(1, 1)})
         path = tmp_path_factory.mktemp("weights") / "model.safetensors"

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 import torch
 from small_kitti import wall
+from small_nets import output_of, with_heads
 from torch import nn
 
 from dualdepth.data.frames import resample
 from dualdepth.errors import InputError
 from dualdepth.inference.predict import DepthNet, load_depth_net, predict_disparities
 from dualdepth.networks.architecture import Architecture, Network
-from dualdepth.networks.decoder import DepthOutput
 from dualdepth.networks.depth_nets import DualNet, HRNet, LRNet
 from dualdepth.training.weights import save_weights
 
@@ -27,7 +27,7 @@ class Seen(nn.Module):
 
     def forward(self, image, scales=4):
         self.image, self.scales = image, scales
-        return DepthOutput([image.mean(1, keepdim=True)], image)
+        return output_of([image.mean(1, keepdim=True)], image)
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +46,7 @@ def depth_net_of(encoder):
     def make(network, **settings):
         torch.manual_seed(0)
         architecture = Architecture(network=network, encoder=encoder, **settings)
-        return DepthNet(architecture.build().eval(), architecture, SIZE)
+        return DepthNet(with_heads(architecture.build()).eval(), architecture, SIZE)
 
     return make
 

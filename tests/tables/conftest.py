@@ -3,18 +3,23 @@
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 
 from dualdepth.evaluation.depth import METRICS
 from dualdepth.files import write_json
+from dualdepth.profile import profile_file, standard_variants
 from dualdepth.run import Run
 from dualdepth.tables import rows
 
 
 @pytest.fixture
 def make_run(tmp_path):
-    """A run of a profile, or of one written here, whose list of scored frames is there."""
+    """A run of a profile, or of one written here, whose list of scored frames is there; by default of tiny with every variant."""
 
     def make(profile="tiny", *, text=None, frames=2, listed=None):
+        if text is None and profile == "tiny":
+            values = yaml.safe_load(profile_file("tiny").read_text(encoding="utf-8"))
+            text = yaml.safe_dump(values | {"train": dict.fromkeys(standard_variants())})
         if text is not None:
             path = tmp_path / f"{profile}.yaml"
             path.write_text(text)

@@ -8,16 +8,18 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 from small_kitti import write_calibration, write_sequence
+from torch import nn
 
 from dualdepth.data.frames import resample
 from dualdepth.data.kitti import read_image
 from dualdepth.data.odometry import read_trajectory, write_trajectory
 from dualdepth.errors import InputError
-from dualdepth.evaluation.odometry import relative, snippet_errors, snippets
+from dualdepth.evaluation.odometry import relative, snippet_errors, snippets, yaw_and_step
 from dualdepth.geometry import pose_matrix
 from dualdepth.inference.predict import PoseModel, predict_poses
 from dualdepth.networks.architecture import Architecture
 from dualdepth.networks.pose_net import PoseNet
+from dualdepth.profile import load_profile
 from dualdepth.run import Run, Sources
 from dualdepth.tables import odometry as table_module
 from dualdepth.tables import odometry_scoring
@@ -68,7 +70,8 @@ def model():
     torch.manual_seed(0)
     net = PoseNet()
     with torch.no_grad():
-        net.layers[-1].bias.normal_(0, 3.0)  # motions that can be told from none
+        nn.init.xavier_uniform_(net.layers[-1].weight)
+        net.layers[-1].bias.normal_(0, 0.3)  # motions that can be told from none
     return PoseModel(net.eval(), SIZE)
 
 
@@ -225,3 +228,34 @@ def test_a_path_too_short_for_a_segment_says_so(run):
     assert table["note"].eq("no segment of 100 m: the path is too short")[table["segments"].eq(0)].all()
     words = odometry_claims(run, [0]).query("metric == 't_err'")["in_words"]
     assert words.eq("not compared: the path is too short for a segment").all()
+
+
+def driven(yaws, steps):
+    """Poses (N, 4, 4) of a car that turns by `yaws` degrees to the right and then goes `steps` metres forward."""
+    poses = [np.eye(4)]
+    for yaw, step in zip(yaws, steps):
+        move = np.eye(4)
+        move[:3, :3], move[:3, 3] = Rotation.from_euler("y", yaw, degrees=True).as_matrix(), [0, 0, step]
+        poses.append(poses[-1] @ move)
+    return np.stack(poses)
+
+
+def test_yaw_is_positive_to_the_right_and_steps_go_forward():
+    np.testing.assert_allclose(yaw_and_step(driven([2, 2, -1], [1.5, 1, 0.5])), [[2, 1.5], [2, 1], [-1, 0.5]], atol=1e-12)
+
+
+def test_a_pose_net_that_turns_half_as_far_has_half_the_slope(run, monkeypatch):
+    yaws, steps = np.random.default_rng(0).normal(0, 3, 7), np.random.default_rng(1).uniform(1, 2, 7)
+    truth = table_module.true_trajectory(run, "09")._replace(poses=driven(yaws, steps))
+    monkeypatch.setattr(table_module, "true_trajectory", lambda run, entry: truth)
+    monkeypatch.setattr(table_module, "predicted_motions", lambda *_: motions_of(driven(yaws / 2, 0.1 * steps)))
+    row = table_module.motion_table(run, [0, 1]).iloc[0]
+    assert row["yaw_slope"] == pytest.approx(0.5) and row["step_slope"] == pytest.approx(1)
+    assert row["yaw_correlation"] == pytest.approx(1) and row["step_correlation"] == pytest.approx(1)
+    assert (row["variant"], row["n"], row["seeds"]) == ("odometry_lr", 7, "0 1")
+
+
+def test_in_the_synthetic_world_the_depth_tables_pose_nets_are_scored(run):
+    assert run.profile.pose_variants == ("odometry_lr", "odometry_dual")
+    assert load_profile("tiny").pose_variants == ("lr", "dual")
+    assert table_module.sequences(Run("tiny")) == ["09", "10"]

@@ -2,11 +2,11 @@
 
 import pytest
 import torch
+from small_nets import output_of, with_heads
 from small_stages import batch_of, dual_of, stage_of  # noqa: F401
 from torch import nn
 
 from dualdepth.losses import total_loss
-from dualdepth.networks.decoder import DepthOutput
 from dualdepth.networks.pose_net import PoseNet
 from dualdepth.training import stages
 
@@ -21,7 +21,7 @@ class SeenDepth(nn.Module):
     def forward(self, image, scales=4):
         self.image, self.scales, self.calls = image, scales, self.calls + 1
         b, _, h, w = image.shape
-        return DepthOutput([image.mean(1, keepdim=True)[..., :: 2**s, :: 2**s] + 0.5 for s in range(scales)], image.expand(b, 3, h, w))
+        return output_of([image.mean(1, keepdim=True)[..., :: 2**s, :: 2**s] + 0.5 for s in range(scales)], image.expand(b, 3, h, w))
 
 
 class SeenPose(PoseNet):
@@ -34,7 +34,7 @@ class SeenPose(PoseNet):
 
 def seen_stage(low, depth_net=None, **changes):
     torch.manual_seed(0)
-    return stage_of(depth_net or SeenDepth(), SeenPose(), low, **changes)
+    return with_heads(stage_of(depth_net or SeenDepth(), SeenPose(), low, **changes))
 
 
 def averaged(batch):
