@@ -93,6 +93,7 @@ _SHAPING = (
     "training.pretrained",
     "training.augmentation",
     "training.loss",
+    "training.beyond_paper_residual",
     "training.precision",
     "training.channels_last",
 )

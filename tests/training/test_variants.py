@@ -15,7 +15,7 @@ from dualdepth.errors import InputError
 from dualdepth.files import file_digest, locked
 from dualdepth.inference.predict import load_depth_net
 from dualdepth.networks.architecture import Architecture
-from dualdepth.networks.depth_nets import LRNet
+from dualdepth.networks.depth_nets import DualNet, LRNet
 from dualdepth.networks.pose_net import PoseNet
 from dualdepth.run import Sources
 from dualdepth.training import variants
@@ -226,3 +226,13 @@ def test_odometry_is_trained_on_its_own_triplets_and_names_the_raw_drives(traine
     sources._replace(odometry_root=None).save(run)
     with pytest.raises(InputError, match="odometry_lr needs ODOMETRY_ROOT"):
         train_variant(run, "odometry_lr", 0)
+
+
+def test_a_residual_dual_network_gets_its_starting_scale_once_and_is_read_back(after_stage_1, monkeypatch):
+    begun, begin = [], DualNet.begin
+    monkeypatch.setattr(DualNet, "begin", lambda self, image: begun.append(tuple(image.shape)) or begin(self, image))
+    run = after_stage_1(train={"lr": None, "dual": {"training.beyond_paper_residual": True, "training.hr.max_steps": 1}})
+    train_variant(run, "dual", 0)
+    assert begun == [(1, 3, 192, 192)]
+    net, architecture, _ = load_depth_net(run.weights("dual", 0))
+    assert architecture.residual and net.residual and load_card(run.weights("dual", 0))["residual"] is True
