@@ -25,6 +25,7 @@ from doc_commands import (
     prose,
     trust,
 )
+from small_nets import with_heads
 
 from dualdepth.data.odometry import write_trajectory
 from dualdepth.model import DepthModel
@@ -91,8 +92,10 @@ def small_world(tmp_path, monkeypatch, kitti_factory, write_scan):
     write_trajectory("poses/09.txt", poses)
     write_trajectory("09.txt", poses)
     cv2.imwrite("photo.jpg", rng.integers(0, 255, (120, 200, 3), np.uint8))
-    DepthModel({"network": "hr", "hr_size": [192, 288]}, device="cpu").save_pretrained("work/tiny/runs/lr/seed0")
-    shutil.copytree("work/tiny/runs/lr", "work/tiny/runs/dual")
+    model = DepthModel({"network": "hr", "hr_size": [192, 288]}, device="cpu")
+    with_heads(model.net)
+    model.save_pretrained("work/miniature/runs/lr/seed0")
+    shutil.copytree("work/miniature/runs/lr", "work/miniature/runs/dual")
     replace = {"/data/kitti_raw": str(root)}
     return lambda words: [replace.get(word, word) for word in words]
 

@@ -11,8 +11,6 @@ from dualdepth.files import locked
 from dualdepth.run import project_root
 
 TABLES = sorted([path.stem for path in (project_root() / "notebooks").glob("*_table_*.ipynb")] + ["13_figures", "14_report"])
-OF_DEPTH = [page for page in TABLES if page != "12_table_odometry"]
-"""Pages that scored trainings of this profile."""
 
 
 @pytest.fixture(scope="module")
@@ -49,11 +47,11 @@ def test_it_runs_everything_once_then_only_what_a_change_makes_stale(chain):
     # another protocol: the tables alone
     assert chain(change=("world:", "evaluation: {crop: none}\nworld:")) == TABLES
     # stage 2's settings: stage 2, the first page, which shows it, and the tables
-    assert chain(change=("resnet18}", "resnet18, hr: {epochs: 7}}")) == sorted([pages[0], *trainings(0)[1:], *OF_DEPTH])
+    assert chain(change=("resnet18}", "resnet18, hr: {epochs: 7}}")) == sorted([pages[0], *trainings(0)[1:], *TABLES])
     # stage 1's: it, what starts from it, and the tables
-    assert chain(change=("hr: {epochs: 7}", "hr: {epochs: 7}, lr: {epochs: 7}")) == sorted([pages[0], *trainings(0)[:2], *OF_DEPTH])
+    assert chain(change=("hr: {epochs: 7}", "hr: {epochs: 7}, lr: {epochs: 7}")) == sorted([pages[0], *trainings(0)[:2], *TABLES])
     # another loss: all trainings
-    assert chain(change=("lr: {epochs: 7}", "lr: {epochs: 7}, loss: {smoothness: 0.2}")) == sorted([pages[0], *trainings(0), *OF_DEPTH])
+    assert chain(change=("lr: {epochs: 7}", "lr: {epochs: 7}, loss: {smoothness: 0.2}")) == sorted([pages[0], *trainings(0), *TABLES])
     # one more seed: its trainings, and the tables over both
     assert chain("seeds=0,1") == sorted([*trainings(1), *TABLES])
     # one variant less: what shows it
@@ -88,10 +86,12 @@ ODOMETRY = ("train: {lr: , dual: , resnet18: }", "train: {lr: , odometry_lr: }")
 KITTI = ("world: {}\ndata: {source: miniature}", "data: {source: kitti, train_drives: [d]}")
 
 
-def test_odometry_is_trained_on_triplets_of_its_own(chain, tmp_path):
-    assert "03_train_lr odometry_lr seed 0" in chain(change=ODOMETRY)
+def test_odometry_is_trained_on_triplets_of_its_own(fresh, tmp_path):
+    fresh.change(*KITTI)
+    assert "03_train_lr odometry_lr seed 0" in fresh("odometry_root=/somewhere", change=ODOMETRY)
     (tmp_path / "work/own/prepared/odometry.csv").write_text("others")
-    assert {"03_train_lr odometry_lr seed 0", "12_table_odometry"} <= set(chain()) and "03_train_lr lr seed 0" not in chain()
+    ran = fresh("odometry_root=/somewhere")
+    assert {"03_train_lr odometry_lr seed 0", "12_table_odometry"} <= set(ran) and "03_train_lr lr seed 0" not in ran
 
 
 def test_a_data_set_of_an_own_camera_made_anew_in_its_folder_is_prepared_anew(fresh, tmp_path):
