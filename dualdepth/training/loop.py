@@ -121,6 +121,9 @@ class Trainer:
         """Model and optimiser, new or as the checkpoint has them, on this process's device."""
         set_seed(self.seed)
         torch.use_deterministic_algorithms(True, warn_only=True)
+        torch.utils.deterministic.fill_uninitialized_memory = (
+            False  # a pass over every new tensor, of which none is read before it is written
+        )
         model = make_model()
         if self.settings.channels_last:
             model = model.to(memory_format=torch.channels_last)
