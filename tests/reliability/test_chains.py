@@ -14,11 +14,11 @@ from tests.small_chain import SmallChain
 LAST = "the last line\n"
 SLOWLY = f"""
     with atomic_path(path) as partial:
-        partial.write_text(words)
+        partial.write_text(said)
         time.sleep(0.05)
         while pathlib.Path("wait").exists():
             time.sleep(0.05)
-        partial.write_text(words + "\\n{LAST[:-1]}\\n")
+        partial.write_text(said + "\\n{LAST[:-1]}\\n")
 """
 
 
@@ -28,9 +28,9 @@ def chain(tmp_path):
     small = SmallChain.make(tmp_path)
     command = tmp_path / "bin/dualdepth"
     code = command.read_text()
-    assert "path.write_text(words)" in code
+    assert "path.write_text(said)" in code
     code = code.replace("import pathlib, re, sys", "import pathlib, re, sys, time\nfrom dualdepth.files import atomic_path")
-    command.write_text(code.replace("path.write_text(words)", SLOWLY.strip()))
+    command.write_text(code.replace("path.write_text(said)", SLOWLY.strip()))
     return Chain(tmp_path, small.profile, lambda: made(tmp_path), lambda: broken(tmp_path), tmp_path / "bin")
 
 
