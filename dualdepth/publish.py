@@ -19,6 +19,7 @@ from dualdepth.files import atomic_path
 from dualdepth.run import Run
 
 PICTURE_WIDTH = 900
+"""Pixels that a picture in a kept notebook has at most."""
 
 
 def publish_results(profile: str) -> int:

@@ -130,22 +130,28 @@ def make_report(run: Run) -> Report:
 
 def headline(main: pd.DataFrame) -> str:
     """What was learned, in a sentence: errors of both networks, beside what the mean depth map of training streets has."""
-    measured = main[main["source"] == "measured"].set_index("method")["abs_rel"].dropna()
+    ours = main[main["source"] == "measured"].set_index("method")
+    measured = ours["abs_rel"].dropna()
     names = {
         "LR-Net + HR-Net, w/ SA": "the dual network's depth is off by {:.1%} on average",
         "LR-Net": "LR-Net's by {:.1%}",
         "Train set mean": "the mean depth map of other streets by {:.1%}",
     }
     said = [words.format(measured[method]) for method, words in names.items() if method in measured]
-    return f"On frames that no training saw, {', '.join(said)}." if said else "Nothing was scored; what was learned shows in the pictures."
+    if not said:
+        return "Nothing was scored; what was learned shows in the pictures."
+    leaked = "note" in ours and ours["note"].astype(str).str.contains("LEAK").any()
+    return f"On {'frames of drives that were trained on' if leaked else 'frames that no training saw'}, {', '.join(said)}."
 
 
 def first_look(run: Run) -> str:
-    """What a run ends with: what was learned, and where to look."""
-    table = pd.read_csv(run.results / "tables" / "main.csv")
+    """What a run ends with: what was learned, and where to look; of a run of some steps alone, where its results are."""
+    table = run.results / "tables" / "main.csv"
+    if not table.is_file():
+        return f"The steps that were asked for are done; results in {run.results.relative_to(run.root)}."
     picture = run.results / "figures" / f"{FIRST_LOOK}.png"
     where = f"Look first at {picture.relative_to(run.root)}, then at {(run.results / 'report.html').relative_to(run.root)}."
-    return f"{headline(table)}\n{where}"
+    return f"{headline(pd.read_csv(table))}\n{where}"
 
 
 def _provenance(run: Run, stamps: Sequence[Path]) -> pd.DataFrame:

@@ -156,3 +156,6 @@ def test_a_run_ends_with_what_was_learned_and_where_to_look(make_run):
     )
     assert "50.0%" not in said
     assert "%" not in headline(table.assign(abs_rel=float("nan")))
+    assert headline(table.assign(note="LEAK: trained on d")).split(",")[0] != headline(table).split(",")[0]
+    (run.results / "tables" / "main.csv").unlink()
+    assert "results/paper" in first_look(run)

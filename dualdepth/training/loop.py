@@ -97,33 +97,30 @@ class Trainer:
     def _choose_precision(self, make_model: Callable[[], Stage]) -> Precision:
         """The profile's, or the one in which a step is faster; the main process chooses for all."""
         device = default_device()
-        chosen = [
-            choose_precision(
-                self.settings.precision,
-                device,
-                self.profile.data.lr_size,
-                lambda p: step_seconds(make_model(), self._first_batch(), device, p),
-            )
-            if is_main_process()
-            else "float32"
-        ]
+
+        def seconds(precision: Precision) -> float:
+            return step_seconds(make_model(), self._first_batch(self.settings.accumulate, process_count()), device, precision)
+
+        chosen: list[Precision] = ["float32"]
+        if is_main_process():
+            chosen = [choose_precision(self.settings.precision, device, self.profile.data.lr_size, seconds)]
         if process_count() > 1:
             PartialState(cpu=several_on_cpu())
             broadcast_object_list(chosen)
         return chosen[0]
 
-    def _first_batch(self) -> dict[str, Any]:
-        """The whole batch of step 1."""
-        keys = next(iter(StatelessBatches(len(self.triplets), self.stage.batch_size, self.seed, 0, 1)))
+    def _first_batch(self, accumulate: int = 1, processes: int = 1) -> dict[str, Any]:
+        """The batch of step 1, or the first process's share of its first part."""
+        shares = {"accumulate": accumulate, "processes": processes}
+        keys = next(iter(StatelessBatches(len(self.triplets), self.stage.batch_size, self.seed, 0, 1, **shares)))
         return default_collate([self.dataset[key] for key in keys])
 
     def _prepare(self, make_model: Callable[[], Stage], checkpoint: dict[str, Any] | None) -> None:
         """Model and optimiser, new or as the checkpoint has them, on this process's device."""
         set_seed(self.seed)
         torch.use_deterministic_algorithms(True, warn_only=True)
-        torch.utils.deterministic.fill_uninitialized_memory = (
-            False  # a pass over every new tensor, of which none is read before it is written
-        )
+        # a pass over every new tensor, of which none is read before it is written
+        torch.utils.deterministic.fill_uninitialized_memory = False
         model = make_model()
         if self.settings.channels_last:
             model = model.to(memory_format=torch.channels_last)
