@@ -94,6 +94,8 @@ _SHAPING = (
     "training.augmentation",
     "training.loss",
     "training.beyond_paper_residual",
+    "training.beyond_paper_plane_steps",
+    "training.beyond_paper_mirrored_motion",
     "training.precision",
     "training.channels_last",
 )

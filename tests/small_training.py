@@ -83,8 +83,8 @@ def at_forward(number, event):
     class Disturbed(Stage):
         calls = 0
 
-        def forward(self, batch):
-            output = super().forward(batch)
+        def forward(self, batch, *phase):
+            output = super().forward(batch, *phase)
             Disturbed.calls += 1
             return (event(output) or output) if Disturbed.calls == number else output
 

@@ -16,8 +16,10 @@ RAW, ODOMETRY, MAKE3D = range(3)
 """Kinds of streets: part of their seeds, so that no two share a street."""
 FIRST_TEST_DRIVE = 101
 FIRST_TEST_SEQUENCE = 9
-BENDS = (0.45, 0.85)
-"""How much a street winds: scored drives as the first, odometry sequences as the second, training drives in turns."""
+BEND, ODOMETRY_BEND = (0.45, 180.0), (0.85, 210.0)
+"""How much a street winds, in radians, and the length of a full left-right bend, in metres: of scored drives, of odometry sequences."""
+TRAIN_BENDS = (0.2, 90.0), (0.5, 90.0)
+"""The same of training drives, in turns. They are short: with longer bends each would show one turn alone."""
 
 
 @dataclass
@@ -54,9 +56,11 @@ def plan_world(world: World, root: Path) -> Work:
     return work
 
 
-def _raw_drive(world: World, seed: tuple[int, ...], frames: int, still: tuple[int, int] = (0, 0), bend: float = BENDS[0]) -> Drive:
+def _raw_drive(
+    world: World, seed: tuple[int, ...], frames: int, still: tuple[int, int] = (0, 0), bend: tuple[float, float] = BEND
+) -> Drive:
     length = 1.3 * frames * world.frame_spacing + 10
-    plan = Plan(seed, length, bend=bend, wavelength=180.0, pace=world.frame_spacing / PERIOD)
+    plan = Plan(seed, length, *bend, pace=world.frame_spacing / PERIOD)
     return drive(plan, build_street(plan), world.frame_spacing, frames, still=still)
 
 
@@ -80,7 +84,7 @@ def _train_drive(world: World, work: Work, number: int) -> None:
     day, frames = formats.DATE, world.frames_per_drive
     name = f"{day}_drive_{number + 1:04d}_sync"
     still = (max(0, frames // 2 - world.static_frames // 2), world.static_frames) if number == 0 else (0, 0)
-    ride = _raw_drive(world, (world.train_seed, RAW, number), frames, still, BENDS[number % 2])
+    ride = _raw_drive(world, (world.train_seed, RAW, number), frames, still, TRAIN_BENDS[number % 2])
     scanned = set(np.linspace(0, frames - 1, world.laser_train_frames + 2)[1:-1].astype(int).tolist())
     work.shots += [_raw_shot(world, work, f"{day}/{name}", ride, k, k in scanned) for k in range(frames)]
     work.lists["train_drives"].append(f"{day}/{name}")
@@ -105,7 +109,7 @@ def _test_drive(world: World, work: Work, number: int) -> None:
 def _sequence(world: World, work: Work, name: str, seed: tuple[int, ...], frames: int = 0, path: float = 0.0) -> None:
     """An odometry sequence on a winding road, of a number of frames or longer than a path in metres."""
     length = 1.15 * path + 20 if path else 1.3 * frames * world.odometry_spacing + 10
-    plan = Plan(seed, length, bend=BENDS[1], wavelength=210.0, movers=1)
+    plan = Plan(seed, length, *ODOMETRY_BEND, movers=1)
     ride = drive(plan, build_street(plan), world.odometry_spacing, frames, path)
     folder = f"kitti_odometry/sequences/{name}"
     matrix = formats.intrinsics(world.size)

@@ -8,12 +8,17 @@ POSE_SCALE = 0.1
 0.03 to 1 the smallest learned more slowly (docs/learning.md)."""
 
 
+DIFFERENCES = 4.0
+"""At the start the first layer sees the sources less the target, so many times enlarged, beside the target: motion is what differs."""
+
+
 class PoseNet(nn.Module):
     """Target and source images → one pose per source, each mapping target coordinates to source coordinates.
 
     Seven stride-2 convolutions with ReLU, no batch norm, a linear 1×1 convolution, the spatial mean, × 0.1.
     Zero padding, since its deepest maps are too small to reflect. It begins with He's initialisation, which keeps the signal down the seven
-    layers (Xavier's, as in Zhou et al., leaves a fiftieth of it), and with a last layer at zero, so that the first poses are the identity.
+    layers (Xavier's, as in Zhou et al., leaves a fiftieth of it), with a first layer that looks at differences of the images, and with a
+    last layer at zero, so that the first poses are the identity.
     """
 
     def __init__(self, sources: int = 2) -> None:
@@ -31,6 +36,11 @@ class PoseNet(nn.Module):
                 nn.init.kaiming_uniform_(layer.weight, nonlinearity="relu")
                 nn.init.zeros_(layer.bias)
         nn.init.zeros_(self.layers[-1].weight)
+        with torch.no_grad():
+            target, *others = self.layers[0].weight.split(3, dim=1)
+            for source in others:
+                source *= DIFFERENCES
+                target -= source
 
     def forward(self, images: Tensor) -> Tensor:
         """Poses (B, sources, 6) of images (B, 1 + sources, 3, H, W) in [0, 1], target first.

@@ -28,6 +28,9 @@ from dualdepth.training.log import TrainingLog, combine
 from dualdepth.training.stages import Stage, StageOutput
 from dualdepth.training.weights import save_weights
 
+PLANE_RATE = 1e-3
+"""Learning rate while PoseNet learns alone."""
+
 
 def learning_rate(stage: StageSettings, step: int, total: int) -> float:
     """Rate of optimiser step `step` (from 0) of `total`: the paper's steps, stretched in proportion to shorter runs."""
@@ -79,8 +82,9 @@ class Trainer:
         checkpoint = last_checkpoint(self.folder, lambda line: print(line) if is_main_process() else None)
         resumed = bool(checkpoint) and checkpoint["recipe"] == recipe
         self.precision = checkpoint["precision"] if resumed else self._choose_precision(make_model)
-        # heads of scales that the loss does not look at get no gradient
-        ddp = DistributedDataParallelKwargs(find_unused_parameters=self.settings.loss.scales < 4)
+        # heads of scales that the loss does not look at get no gradient, nor does a depth network while PoseNet learns alone
+        unused = self.settings.loss.scales < 4 or self.settings.beyond_paper_plane_steps > 0
+        ddp = DistributedDataParallelKwargs(find_unused_parameters=unused)
         bf16 = "bf16" if self.precision == "bf16" else "no"
         self.accelerator = Accelerator(cpu=several_on_cpu(), mixed_precision=bf16, kwargs_handlers=[ddp])
         self.main = self.accelerator.is_main_process
@@ -124,6 +128,7 @@ class Trainer:
         model = make_model()
         if self.settings.channels_last:
             model = model.to(memory_format=torch.channels_last)
+        self.plane_steps = self.settings.beyond_paper_plane_steps if model.low else 0
         self.trained = [p for p in model.parameters() if p.requires_grad]
         betas = self.stage.beta1, self.stage.beta2
         optimizer = torch.optim.Adam(self.trained, lr=self.stage.learning_rates[0][1], betas=betas, fused=True)
@@ -194,8 +199,9 @@ class Trainer:
     def _step(self, step: int, batches: Iterator[dict[str, Any]], logged: bool) -> tuple[StageOutput, list[dict[str, torch.Tensor]]]:
         """One optimisation step over all parts of its batch: the last part's output, and, where it is logged, each part's statistics."""
         accelerator, accumulate = self.accelerator, self.settings.accumulate
+        on_a_plane = step <= self.plane_steps
         for group in self.optimizer.param_groups:
-            group["lr"] = learning_rate(self.stage, step - 1, self.total)
+            group["lr"] = PLANE_RATE if on_a_plane else learning_rate(self.stage, step - 1, self.total)
         self.optimizer.zero_grad()
         names: list[str] = []
         statistics: list[dict[str, torch.Tensor]] = []
@@ -206,7 +212,7 @@ class Trainer:
             draw = part * accelerator.num_processes + accelerator.process_index
             torch.manual_seed((self.seed * self.total + step) * self.parts + draw)
             with contextlib.nullcontext() if part == accumulate - 1 else accelerator.no_sync(self.model):
-                output = self.model(batch)
+                output = self.model(batch, on_a_plane)
                 self._check_finite("loss", output.losses.total, step, names)
                 self._check_finite("pose", output.poses.sum(), step, names)  # its pixels count as unseen, so the loss is blind to it
                 accelerator.backward(output.losses.total / accumulate)

@@ -4,11 +4,15 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional as F
 
 from dualdepth.geometry import low_resolution, resize_intrinsics, to_unit
 from dualdepth.losses import Losses, total_loss
 from dualdepth.networks.pose_net import PoseNet
 from dualdepth.settings import Training
+
+MIRROR = (-1.0, 1.0, 1.0, 1.0, -1.0, -1.0)
+"""Signs of a pose's six numbers seen in a mirror, left for right."""
 
 
 class StageOutput(NamedTuple):
@@ -65,27 +69,59 @@ class Stage(nn.Module):
         super().__init__()
         self.depth_net, self.pose_net = depth_net, pose_net
         self.loss, self.channels_last, self.low = training.loss, training.channels_last, low
+        self.mirrored_motion = training.beyond_paper_mirrored_motion
         self.hr_batch = training.augmentation.augment_first or not low
         """Whether batches have the HR size; frames that are shrunk before they are augmented have the LR size."""
 
-    def forward(self, batch: dict[str, Any]) -> StageOutput:
-        """Losses of a batch with `images` (B, 3, 3, H, W) uint8, target first, and `intrinsics` (B, 3, 3)."""
+    def forward(self, batch: dict[str, Any], on_a_plane: bool = False) -> StageOutput:
+        """Losses of a batch with `images` (B, 3, 3, H, W) uint8, target first, and `intrinsics` (B, 3, 3).
+
+        On a plane the depth network is left out: a level road stands for what it would say, so that PoseNet learns alone.
+        """
         images, matrix = to_unit(batch["images"]), batch["intrinsics"]
         small = low_resolution(images) if self.hr_batch else images
         if self.low and self.hr_batch:
             images, matrix = small, resize_intrinsics(matrix, 1 / 3, 1 / 3)
         # the sources' depth features are needed for the feature loss alone
         with_features = self.low and self.loss.feature > 0
-        views = images if with_features else images[:, :1]
-        network_input = views.flatten(0, 1)
-        if self.channels_last:
-            network_input = network_input.contiguous(memory_format=torch.channels_last)
-        output = self.depth_net(network_input, self.loss.scales)
-        poses = self.pose_net(small)
-        disparities = [d.unflatten(0, views.shape[:2])[:, 0] for d in output.disparities]
-        features = output.features.unflatten(0, views.shape[:2])
+        poses = self.motion(small)
+        if on_a_plane:
+            disparities, with_features = level_road(matrix, images.shape[-2:], self.loss.scales), False
+            features = torch.zeros_like(disparities[0])[:, None]
+        else:
+            views = images if with_features else images[:, :1]
+            network_input = views.flatten(0, 1)
+            if self.channels_last:
+                network_input = network_input.contiguous(memory_format=torch.channels_last)
+            output = self.depth_net(network_input, self.loss.scales)
+            disparities = [d.unflatten(0, views.shape[:2])[:, 0] for d in output.disparities]
+            features = output.features.unflatten(0, views.shape[:2])
         with torch.autocast(images.device.type, enabled=False):
             pair = (features[:, 0], features[:, 1:]) if with_features else None
             losses = total_loss(images, matrix, disparities, poses, self.loss, pair)
         scale = getattr(getattr(self.depth_net, "attention", None), "scale", None)
         return StageOutput(losses, images[:, 0], disparities[0].detach(), poses.detach(), features[:, 0].detach(), scale)
+
+    def motion(self, images: Tensor) -> Tensor:
+        """Poses (B, S, 6) of LR images (B, 1 + S, 3, H, W), half of them found in the mirror where that is asked for."""
+        if not (self.mirrored_motion and self.training):
+            return self.pose_net(images)
+        mirrored = torch.rand(len(images), device=images.device) < 0.5
+        poses = self.pose_net(torch.where(mirrored.view(-1, 1, 1, 1, 1), images.flip(-1), images))
+        return torch.where(mirrored.view(-1, 1, 1), poses * poses.new_tensor(MIRROR), poses)
+
+
+def level_road(intrinsics: Tensor, size: tuple[int, int], scales: int) -> list[Tensor]:
+    """Disparities (B, 1, H/2^s, W/2^s) of a level road below the horizon, which is taken to be at the principal point.
+
+    They rise with a row's distance to the horizon; nearer to it than a twelfth of the image's height, and above it, all is equally far.
+
+    Args:
+        intrinsics: (B, 3, 3) at this size.
+        size: (H, W).
+        scales: how many, from the finest on.
+    """
+    height, width = size
+    rows = torch.arange(height, device=intrinsics.device) - intrinsics[:, 1, 2, None]  # (B, H)
+    finest = (12.0 / height * rows).clamp(min=1.0)[:, None, :, None].expand(-1, 1, -1, width)
+    return [F.avg_pool2d(finest, 2**scale) if scale else finest for scale in range(scales)]

@@ -47,6 +47,16 @@ def test_its_first_poses_are_the_identity_and_its_signal_reaches_the_last_layer(
     assert sizes[-2] > sizes[0] / 10
 
 
+def test_its_first_layer_begins_with_four_times_the_differences_of_the_images():
+    torch.manual_seed(0)
+    first = PoseNet().layers[0].requires_grad_(False)
+    image, change = torch.rand(2, 1, 3, 64, 64)
+    still = first(image.repeat(1, 3, 1, 1))
+    seen = [first(torch.cat([image, *(image + change * (n == source) for n in (1, 2))], 1)) - still for source in (1, 2)]
+    for moved in seen:
+        assert moved.std() / first(change.repeat(1, 3, 1, 1)).std() == pytest.approx(4, rel=0.3)
+
+
 @pytest.mark.parametrize("view", [0, 1, 2])
 def test_target_and_both_sources_are_looked_at(net, view):
     changed = images()

@@ -82,6 +82,8 @@ def test_too_few_triplets_are_an_error(run, profile_of):
         {"loss": {"beyond_paper_automask": True}},
         {"augmentation": {"augment_first": False}},
         {"augmentation": {"beyond_paper_flip": True}},
+        {"training": {"beyond_paper_plane_steps": 1}},
+        {"training": {"beyond_paper_mirrored_motion": True}, "stage": {"batch_size": 2}},
     ],
     ids=str,
 )
@@ -134,8 +136,8 @@ def test_steps_of_a_batch_that_is_cut_in_parts_average_the_parts(run, profile_of
             super().__init__(*networks, low=low)
             self.pose_net.layers[-1].bias.register_post_accumulate_grad_hook(lambda p: seen.append(p.grad.clone()))
 
-        def forward(self, batch):
-            output = super().forward(batch)
+        def forward(self, batch, *phase):
+            output = super().forward(batch, *phase)
             bias = self.pose_net.layers[-1].bias.sum()
             return output._replace(losses=output.losses._replace(total=bias))  # gradient 1, whatever the batch
 

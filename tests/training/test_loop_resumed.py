@@ -28,6 +28,16 @@ def test_a_run_that_was_told_to_stop_goes_on_to_the_same_weights(run, tmp_path, 
     assert equal(run("cut"), whole)
 
 
+@pytest.mark.parametrize("number", [1, 3])
+def test_a_stop_while_posenet_learns_alone_or_after_it_changes_nothing(run, profile_of, tmp_path, number):
+    profile = profile_of(training={"beyond_paper_plane_steps": 2, "beyond_paper_mirrored_motion": True})
+    whole = run("whole", profile=profile)
+    assert list(read_log(tmp_path / "whole/log.csv")["learning_rate"][:3]) == pytest.approx([1e-3, 1e-3, 1e-4])
+    with pytest.raises(SystemExit):
+        run("cut", profile=profile, kind=at_forward(number, kill_softly))
+    assert equal(run("cut", profile=profile), whole)
+
+
 def test_a_killed_run_goes_on_from_its_last_checkpoint_to_the_same_weights_and_log(run, tmp_path):
     whole = run("whole")
     with pytest.raises(KeyboardInterrupt):
@@ -55,8 +65,8 @@ def test_a_checkpoint_is_due_by_time_too(run, profile_of, tmp_path, minutes, ste
 
 def test_random_draws_inside_a_network_are_the_same_after_a_stop(run):
     class Dropping(Stage):
-        def forward(self, batch):
-            output = super().forward(batch)
+        def forward(self, batch, *phase):
+            output = super().forward(batch, *phase)
             noise = torch.rand(())  # as dropout draws
             return output._replace(losses=output.losses._replace(total=output.losses.total * noise))
 
@@ -65,11 +75,11 @@ def test_random_draws_inside_a_network_are_the_same_after_a_stop(run):
     class Stopped(Dropping):
         calls = 0
 
-        def forward(self, batch):
+        def forward(self, batch, *phase):
             Stopped.calls += 1
             if Stopped.calls == 4:
                 os.kill(os.getpid(), signal.SIGTERM)
-            return super().forward(batch)
+            return super().forward(batch, *phase)
 
     with pytest.raises(SystemExit):
         run("cut", kind=Stopped)

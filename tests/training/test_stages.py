@@ -6,6 +6,7 @@ from small_nets import output_of, with_heads
 from small_stages import batch_of, dual_of, stage_of  # noqa: F401
 from torch import nn
 
+from dualdepth.geometry import pose_matrix
 from dualdepth.losses import total_loss
 from dualdepth.networks.pose_net import PoseNet
 from dualdepth.training import stages
@@ -127,6 +128,37 @@ def test_the_memory_layout_is_the_profiles(batch, channels_last, low):
     stage = seen_stage(low, channels_last=channels_last)
     stage(batch)
     assert stage.depth_net.image.is_contiguous(memory_format=torch.channels_last) == channels_last
+
+
+def test_on_a_plane_posenet_alone_learns_from_a_level_road(batch, asked):
+    stage = seen_stage(low=True, feature=1.0)
+    output = stage(batch, on_a_plane=True)
+    output.losses.total.backward()
+    assert stage.depth_net.calls == 0 and asked[0][5] is None
+    assert all(p.grad is not None for p in stage.pose_net.parameters())
+    assert [d.shape[1:] for d in asked[0][2]] == [(1, 32 >> s, 64 >> s) for s in range(4)]
+    assert set(output.statistics) == set(seen_stage(low=True)(batch).statistics)
+
+
+def test_a_level_road_is_as_near_as_its_rows_are_below_the_horizon():
+    """A camera 1.5 above a road sees a row v at depth 1.5 f / (v − c); depths count up to a factor."""
+    matrix = torch.tensor([[[50.0, 0, 31], [0, 50, 14], [0, 0, 1]]])
+    finest, half = stages.level_road(matrix, (48, 64), scales=2)
+    depth = 1.5 * 50 / (torch.arange(19, 48) - 14)
+    assert torch.allclose(finest[0, 0, 19:, 5] * depth, (finest[0, 0, -1, 0] * depth[-1]).expand(29))
+    assert torch.equal(finest[0, 0, :19], torch.ones(19, 64))  # up to a twelfth of the height below the horizon
+    assert torch.allclose(half[0, 0, :, 0], finest[0, 0].reshape(24, 2, 64).mean(1)[:, 0])
+
+
+def test_motion_that_is_seen_in_a_mirror_is_mirrored_back(monkeypatch):
+    stage, images = seen_stage(low=True), torch.rand(2, 3, 3, 64, 64)
+    stage.mirrored_motion = True
+    monkeypatch.setattr(torch, "rand", lambda n, device: torch.tensor([0.9, 0.1]))
+    plain, mirror = stage.eval().motion(images.flip(-1)), torch.diag(torch.tensor([-1.0, 1, 1, 1]))
+    found = stage.train().motion(images)
+    assert torch.allclose(found[0], stage.pose_net(images)[0], atol=1e-6)
+    assert torch.allclose(pose_matrix(found[1]), mirror @ pose_matrix(plain[1]) @ mirror, atol=1e-6)
+    assert (found[1] - plain[1]).abs().max() > 1e-4
 
 
 @pytest.mark.parametrize("low", [True, False])
