@@ -190,9 +190,9 @@ def test_one_seed_gives_the_same_weights_to_the_bit_wherever_it_is_trained(train
 def test_a_dual_training_that_was_stopped_and_killed_goes_on_to_the_same_weights(trained, after_stage_1, monkeypatch):
     run, forward, calls = after_stage_1(), Stage.forward, []
 
-    def interrupted(stage, batch):
+    def interrupted(stage, batch, *phase):
         calls.append(batch["name"])
-        output = forward(stage, batch)
+        output = forward(stage, batch, *phase)
         if len(calls) == 1:
             os.kill(os.getpid(), signal.SIGTERM)  # a checkpoint at the end of this step
         if len(calls) == 3:
