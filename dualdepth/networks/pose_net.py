@@ -6,8 +6,6 @@ from torch import Tensor, nn
 POSE_SCALE = 0.1
 """Zhou et al. have 0.01, beside disparities of mean 10; ours have mean 1, where a translation of the same pixels is ten times as large. Of
 0.03 to 1 the smallest learned more slowly (docs/learning.md)."""
-
-
 DIFFERENCES = 4.0
 """At the start the first layer sees the sources less the target, so many times enlarged, beside the target: motion is what differs."""
 

@@ -61,7 +61,7 @@ class Trainer:
         recipe: digest of all that shapes the result; a checkpoint of another recipe is not resumed.
 
     Raises:
-        InputError: too few triplets, a checkpoint that cannot be read, or a folder that cannot be written.
+        InputError: too few triplets or steps, a checkpoint that cannot be read, or a folder that cannot be written.
     """
 
     def __init__(
@@ -129,6 +129,11 @@ class Trainer:
         if self.settings.channels_last:
             model = model.to(memory_format=torch.channels_last)
         self.plane_steps = self.settings.beyond_paper_plane_steps if model.low else 0
+        if 0 < self.total <= self.plane_steps:
+            raise InputError(
+                f"beyond_paper_plane_steps {self.plane_steps} leave the depth network none of stage 1's {self.total} steps: lower them, or"
+                " train longer"
+            )
         self.trained = [p for p in model.parameters() if p.requires_grad]
         betas = self.stage.beta1, self.stage.beta2
         optimizer = torch.optim.Adam(self.trained, lr=self.stage.learning_rates[0][1], betas=betas, fused=True)

@@ -83,10 +83,10 @@ class Stage(nn.Module):
         if self.low and self.hr_batch:
             images, matrix = small, resize_intrinsics(matrix, 1 / 3, 1 / 3)
         # the sources' depth features are needed for the feature loss alone
-        with_features = self.low and self.loss.feature > 0
+        with_features = self.low and self.loss.feature > 0 and not on_a_plane
         poses = self.motion(small)
         if on_a_plane:
-            disparities, with_features = level_road(matrix, images.shape[-2:], self.loss.scales), False
+            disparities = level_road(matrix, images.shape[-2:], self.loss.scales)
             features = torch.zeros_like(disparities[0])[:, None]
         else:
             views = images if with_features else images[:, :1]

@@ -15,6 +15,7 @@ from dualdepth.data import kitti
 from dualdepth.data.lidar import ground_truth
 from dualdepth.errors import InputError
 from dualdepth.files import locked
+from dualdepth.profile import load_profile
 from dualdepth.settings import World
 
 SETTINGS = {
@@ -149,6 +150,24 @@ def test_grid_cells_divide_the_photo_evenly():
     matrix = grid_intrinsics(np.array([[100.0, 0, 52], [0, 100, 70], [0, 0, 1]]), (140, 105))
     for corner, cell in ((-0.5, -0.5), (104.5, 304.5)):  # the photo's edges are the grid's edges
         assert matrix[0, 0] * (corner - 52) / 100 + matrix[0, 2] == pytest.approx(cell)
+
+
+def test_training_drives_show_the_turns_of_the_sequences_that_are_scored(tmp_path):
+    """Of the default profile; a drive that shows one turn alone teaches PoseNet to know the street."""
+    world = load_profile("miniature").world.model_dump() | {"train_drives": 8, "test_drives": 1, "make3d_images": 1}
+    poses = {}
+    for shot in plan_world(World(**world), tmp_path).shots:
+        poses.setdefault(shot.image.parent, []).append(shot.pose)
+
+    def yaw(path):
+        steps = np.linalg.inv(poses[path][:-1]) @ np.array(poses[path][1:])
+        return np.degrees(np.arctan2(steps[:, 0, 2], steps[:, 2, 2]))
+
+    train = [yaw(path) for path in poses if path.parts[-3].endswith("_sync") and "_drive_00" in path.parts[-3]]
+    scored = [yaw(path) for path in poses if path.parent.name in ("09", "10")]
+    assert len(train) == 8 and len(scored) == 2
+    assert np.mean([turns.std() for turns in train]) > 0.4
+    assert np.percentile(np.abs(np.concatenate(train)), 95) >= np.percentile(np.abs(np.concatenate(scored)), 95)
 
 
 def test_same_settings_give_the_same_bytes_also_in_several_processes(least, tmp_path):

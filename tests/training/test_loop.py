@@ -71,6 +71,11 @@ def test_too_few_triplets_are_an_error(run, profile_of):
         run(profile=profile_of(stage={"batch_size": 4}))
 
 
+def test_steps_that_leave_depth_none_are_an_error(run, profile_of):
+    with pytest.raises(InputError, match=r"plane_steps 2 .* 2 steps"):
+        run(profile=profile_of(training={"beyond_paper_plane_steps": 2}, stage={"max_steps": 2}))
+
+
 @pytest.mark.parametrize(
     "changes",
     [

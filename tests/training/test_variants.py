@@ -20,6 +20,7 @@ from dualdepth.networks.pose_net import PoseNet
 from dualdepth.run import Sources
 from dualdepth.training import variants
 from dualdepth.training.checkpoints import last_checkpoint
+from dualdepth.training.log import read_log
 from dualdepth.training.loop import Trainer
 from dualdepth.training.stages import Stage
 from dualdepth.training.variants import make_stage, start_weights, train_variant
@@ -231,8 +232,14 @@ def test_odometry_is_trained_on_its_own_triplets_and_names_the_raw_drives(traine
 def test_a_residual_dual_network_gets_its_starting_scale_once_and_is_read_back(after_stage_1, monkeypatch):
     begun, begin = [], DualNet.begin
     monkeypatch.setattr(DualNet, "begin", lambda self, image: begun.append(tuple(image.shape)) or begin(self, image))
-    run = after_stage_1(train={"lr": None, "dual": {"training.beyond_paper_residual": True, "training.hr.max_steps": 1}})
+    changes = {
+        "training.beyond_paper_residual": True,
+        "training.hr.max_steps": 1,
+        "training.beyond_paper_plane_steps": 9,
+    }  # of stage 1 alone
+    run = after_stage_1(train={"lr": None, "dual": changes})
     train_variant(run, "dual", 0)
     assert begun == [(1, 3, 192, 192)]
+    assert read_log(run.training("dual", 0) / "log.csv")["feature_spread"].min() > 0
     net, architecture, _ = load_depth_net(run.weights("dual", 0))
     assert architecture.residual and net.residual and load_card(run.weights("dual", 0))["residual"] is True
