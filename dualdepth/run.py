@@ -94,7 +94,7 @@ _SHAPING = (
     "training.augmentation",
     "training.loss",
     "training.beyond_paper_residual",
-    "training.beyond_paper_plane_steps",
+    "training.beyond_paper_corridor_steps",
     "training.beyond_paper_mirrored_motion",
     "training.precision",
     "training.channels_last",

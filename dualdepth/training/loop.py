@@ -28,7 +28,7 @@ from dualdepth.training.log import TrainingLog, combine
 from dualdepth.training.stages import Stage, StageOutput
 from dualdepth.training.weights import save_weights
 
-PLANE_RATE = 1e-3
+CORRIDOR_RATE = 1e-3
 """Learning rate while PoseNet learns alone."""
 
 
@@ -83,7 +83,7 @@ class Trainer:
         resumed = bool(checkpoint) and checkpoint["recipe"] == recipe
         self.precision = checkpoint["precision"] if resumed else self._choose_precision(make_model)
         # heads of scales that the loss does not look at get no gradient, nor does a depth network while PoseNet learns alone
-        unused = self.settings.loss.scales < 4 or self.settings.beyond_paper_plane_steps > 0
+        unused = self.settings.loss.scales < 4 or self.settings.beyond_paper_corridor_steps > 0
         ddp = DistributedDataParallelKwargs(find_unused_parameters=unused)
         bf16 = "bf16" if self.precision == "bf16" else "no"
         self.accelerator = Accelerator(cpu=several_on_cpu(), mixed_precision=bf16, kwargs_handlers=[ddp])
@@ -128,11 +128,11 @@ class Trainer:
         model = make_model()
         if self.settings.channels_last:
             model = model.to(memory_format=torch.channels_last)
-        self.plane_steps = self.settings.beyond_paper_plane_steps if model.low else 0
-        if 0 < self.total <= self.plane_steps:
+        self.corridor_steps = self.settings.beyond_paper_corridor_steps if model.low else 0
+        if 0 < self.total <= self.corridor_steps:
             raise InputError(
-                f"beyond_paper_plane_steps {self.plane_steps} leave the depth network none of stage 1's {self.total} steps: lower them, or"
-                " train longer"
+                f"beyond_paper_corridor_steps {self.corridor_steps} leave the depth network none of stage 1's {self.total} steps: lower"
+                " them, or train longer"
             )
         self.trained = [p for p in model.parameters() if p.requires_grad]
         betas = self.stage.beta1, self.stage.beta2
@@ -204,9 +204,9 @@ class Trainer:
     def _step(self, step: int, batches: Iterator[dict[str, Any]], logged: bool) -> tuple[StageOutput, list[dict[str, torch.Tensor]]]:
         """One optimisation step over all parts of its batch: the last part's output, and, where it is logged, each part's statistics."""
         accelerator, accumulate = self.accelerator, self.settings.accumulate
-        on_a_plane = step <= self.plane_steps
+        in_a_corridor = step <= self.corridor_steps
         for group in self.optimizer.param_groups:
-            group["lr"] = PLANE_RATE if on_a_plane else learning_rate(self.stage, step - 1, self.total)
+            group["lr"] = CORRIDOR_RATE if in_a_corridor else learning_rate(self.stage, step - 1, self.total)
         self.optimizer.zero_grad()
         names: list[str] = []
         statistics: list[dict[str, torch.Tensor]] = []
@@ -217,7 +217,7 @@ class Trainer:
             draw = part * accelerator.num_processes + accelerator.process_index
             torch.manual_seed((self.seed * self.total + step) * self.parts + draw)
             with contextlib.nullcontext() if part == accumulate - 1 else accelerator.no_sync(self.model):
-                output = self.model(batch, on_a_plane)
+                output = self.model(batch, in_a_corridor)
                 self._check_finite("loss", output.losses.total, step, names)
                 self._check_finite("pose", output.poses.sum(), step, names)  # its pixels count as unseen, so the loss is blind to it
                 accelerator.backward(output.losses.total / accumulate)

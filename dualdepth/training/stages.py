@@ -13,6 +13,8 @@ from dualdepth.settings import Training
 
 MIRROR = (-1.0, 1.0, 1.0, 1.0, -1.0, -1.0)
 """Signs of a pose's six numbers seen in a mirror, left for right."""
+WALLS = 5.5
+"""How far aside a corridor's walls stand, in heights of the camera: 9 metres for one that is 1.65 metres above the road."""
 
 
 class StageOutput(NamedTuple):
@@ -73,20 +75,20 @@ class Stage(nn.Module):
         self.hr_batch = training.augmentation.augment_first or not low
         """Whether batches have the HR size; frames that are shrunk before they are augmented have the LR size."""
 
-    def forward(self, batch: dict[str, Any], on_a_plane: bool = False) -> StageOutput:
+    def forward(self, batch: dict[str, Any], in_a_corridor: bool = False) -> StageOutput:
         """Losses of a batch with `images` (B, 3, 3, H, W) uint8, target first, and `intrinsics` (B, 3, 3).
 
-        On a plane the depth network is left out: a level road stands for what it would say, so that PoseNet learns alone.
+        In a corridor the depth network is left out: a road between walls stands for what it would say, so that PoseNet learns alone.
         """
         images, matrix = to_unit(batch["images"]), batch["intrinsics"]
         small = low_resolution(images) if self.hr_batch else images
         if self.low and self.hr_batch:
             images, matrix = small, resize_intrinsics(matrix, 1 / 3, 1 / 3)
         # the sources' depth features are needed for the feature loss alone
-        with_features = self.low and self.loss.feature > 0 and not on_a_plane
+        with_features = self.low and self.loss.feature > 0 and not in_a_corridor
         poses = self.motion(small)
-        if on_a_plane:
-            disparities = level_road(matrix, images.shape[-2:], self.loss.scales)
+        if in_a_corridor:
+            disparities = corridor(matrix, images.shape[-2:], self.loss.scales)
             features = torch.zeros_like(disparities[0])[:, None]
         else:
             views = images if with_features else images[:, :1]
@@ -111,10 +113,11 @@ class Stage(nn.Module):
         return torch.where(mirrored.view(-1, 1, 1), poses * poses.new_tensor(MIRROR), poses)
 
 
-def level_road(intrinsics: Tensor, size: tuple[int, int], scales: int) -> list[Tensor]:
-    """Disparities (B, 1, H/2^s, W/2^s) of a level road below the horizon, which is taken to be at the principal point.
+def corridor(intrinsics: Tensor, size: tuple[int, int], scales: int) -> list[Tensor]:
+    """Disparities (B, 1, H/2^s, W/2^s) of a level road between two walls, seen along it.
 
-    They rise with a row's distance to the horizon; nearer to it than a twelfth of the image's height, and above it, all is equally far.
+    The road's rise with a row's distance below the horizon, which is taken to be at the principal point, the walls' with a column's
+    distance to the middle. Where both are small it is equally far: up to a twelfth of the image's height below the horizon.
 
     Args:
         intrinsics: (B, 3, 3) at this size.
@@ -122,6 +125,9 @@ def level_road(intrinsics: Tensor, size: tuple[int, int], scales: int) -> list[T
         scales: how many, from the finest on.
     """
     height, width = size
-    rows = torch.arange(height, device=intrinsics.device) - intrinsics[:, 1, 2, None]  # (B, H)
-    finest = (12.0 / height * rows).clamp(min=1.0)[:, None, :, None].expand(-1, 1, -1, width)
+    fx, fy, cx, cy = (intrinsics[:, row, column, None] for row, column in ((0, 0), (1, 1), (0, 2), (1, 2)))  # (B, 1)
+    rows = torch.arange(height, device=intrinsics.device) - cy  # (B, H)
+    columns = (torch.arange(width, device=intrinsics.device) - cx) * fy / fx  # (B, W)
+    nearest = torch.maximum(rows[:, :, None], columns[:, None, :].abs() / WALLS)
+    finest = (12.0 / height * nearest).clamp(min=1.0)[:, None]
     return [F.avg_pool2d(finest, 2**scale) if scale else finest for scale in range(scales)]

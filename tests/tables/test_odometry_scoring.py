@@ -244,14 +244,15 @@ def test_yaw_is_positive_to_the_right_and_steps_go_forward():
     np.testing.assert_allclose(yaw_and_step(driven([2, 2, -1], [1.5, 1, 0.5])), [[2, 1.5], [2, 1], [-1, 0.5]], atol=1e-12)
 
 
-def test_a_pose_net_that_turns_half_as_far_has_half_the_slope(run, monkeypatch):
+def test_a_pose_net_that_turns_half_as_far_and_always_to_the_left(run, monkeypatch):
     yaws, steps = np.random.default_rng(0).normal(0, 3, 7), np.random.default_rng(1).uniform(1, 2, 7)
     truth = table_module.true_trajectory(run, "09")._replace(poses=driven(yaws, steps))
     monkeypatch.setattr(table_module, "true_trajectory", lambda run, entry: truth)
-    monkeypatch.setattr(table_module, "predicted_motions", lambda *_: motions_of(driven(yaws / 2, 0.1 * steps)))
+    monkeypatch.setattr(table_module, "predicted_motions", lambda *_: motions_of(driven(yaws / 2 - 1, 0.1 * steps)))
     row = table_module.motion_table(run, [0, 1]).iloc[0]
     assert row["yaw_slope"] == pytest.approx(0.5) and row["step_slope"] == pytest.approx(1)
     assert row["yaw_correlation"] == pytest.approx(1) and row["step_correlation"] == pytest.approx(1)
+    assert row["yaw_bias"] == pytest.approx(-yaws.mean() / 2 - 1)
     assert (row["variant"], row["n"], row["seeds"]) == ("odometry_lr", 7, "0 1")
 
 

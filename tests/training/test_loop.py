@@ -72,8 +72,8 @@ def test_too_few_triplets_are_an_error(run, profile_of):
 
 
 def test_steps_that_leave_depth_none_are_an_error(run, profile_of):
-    with pytest.raises(InputError, match=r"plane_steps 2 .* 2 steps"):
-        run(profile=profile_of(training={"beyond_paper_plane_steps": 2}, stage={"max_steps": 2}))
+    with pytest.raises(InputError, match=r"corridor_steps 2 .* 2 steps"):
+        run(profile=profile_of(training={"beyond_paper_corridor_steps": 2}, stage={"max_steps": 2}))
 
 
 @pytest.mark.parametrize(
@@ -87,7 +87,7 @@ def test_steps_that_leave_depth_none_are_an_error(run, profile_of):
         {"loss": {"beyond_paper_automask": True}},
         {"augmentation": {"augment_first": False}},
         {"augmentation": {"beyond_paper_flip": True}},
-        {"training": {"beyond_paper_plane_steps": 1}},
+        {"training": {"beyond_paper_corridor_steps": 1}},
         {"training": {"beyond_paper_mirrored_motion": True}, "stage": {"batch_size": 2}},
     ],
     ids=str,

@@ -30,7 +30,7 @@ def test_a_run_that_was_told_to_stop_goes_on_to_the_same_weights(run, tmp_path, 
 
 @pytest.mark.parametrize("number", [1, 3])
 def test_a_stop_while_posenet_learns_alone_or_after_it_changes_nothing(run, profile_of, tmp_path, number):
-    profile = profile_of(training={"beyond_paper_plane_steps": 2, "beyond_paper_mirrored_motion": True})
+    profile = profile_of(training={"beyond_paper_corridor_steps": 2, "beyond_paper_mirrored_motion": True})
     whole = run("whole", profile=profile)
     log = read_log(tmp_path / "whole/log.csv")
     assert list(log["learning_rate"][:3]) == pytest.approx([1e-3, 1e-3, 1e-4])

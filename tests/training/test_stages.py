@@ -130,25 +130,27 @@ def test_the_memory_layout_is_the_profiles(batch, channels_last, low):
     assert stage.depth_net.image.is_contiguous(memory_format=torch.channels_last) == channels_last
 
 
-def test_on_a_plane_posenet_alone_learns_from_a_level_road(batch, asked):
+def test_in_a_corridor_posenet_learns_alone(batch, asked):
     stage = seen_stage(low=True, feature=1.0)
-    output = stage(batch, on_a_plane=True)
+    output = stage(batch, in_a_corridor=True)
     output.losses.total.backward()
     assert stage.depth_net.calls == 0 and asked[0][5] is None
     assert all(p.grad is not None for p in stage.pose_net.parameters())
-    for given, expected in zip(asked[0][2], stages.level_road(asked[0][1], (32, 64), 4), strict=True):
+    for given, expected in zip(asked[0][2], stages.corridor(asked[0][1], (32, 64), 4), strict=True):
         assert torch.equal(given, expected)
     assert set(output.statistics) == set(seen_stage(low=True)(batch).statistics)
 
 
-def test_a_level_road_is_as_near_as_its_rows_are_below_the_horizon():
-    """A camera 1.5 above a road sees a row v at depth 1.5 f / (v − c); depths count up to a factor."""
-    matrix = torch.tensor([[[50.0, 0, 31], [0, 50, 14], [0, 0, 1]]])
-    finest, half = stages.level_road(matrix, (48, 64), scales=2)
-    depth = 1.5 * 50 / (torch.arange(19, 48) - 14)
-    assert torch.allclose(finest[0, 0, 19:, 5] * depth, (finest[0, 0, -1, 0] * depth[-1]).expand(29))
-    assert torch.equal(finest[0, 0, :19], torch.ones(19, 64))  # up to a twelfth of the height below the horizon
-    assert torch.allclose(half[0, 0, :, 0], finest[0, 0].reshape(24, 2, 64).mean(1)[:, 0])
+def test_a_corridor_is_as_near_as_its_road_and_its_walls():
+    """A camera 1.5 above a road sees row v at depth 1.5 fy / (v − cy), and column u of a wall 8.25 aside at depth 8.25 fx / |u − cx|."""
+    matrix = torch.tensor([[[50.0, 0, 150], [0, 60, 14], [0, 0, 1]]])
+    finest, half = stages.corridor(matrix, (48, 320), scales=2)
+    rows, columns = torch.arange(48)[:, None] - 14.0, (torch.arange(320)[None] - 150.0).abs()
+    depth = torch.minimum(1.5 * 60 / rows.clamp(min=1e-9), 1.5 * 5.5 * 50 / columns.clamp(min=1e-9))
+    farthest = 1.5 * 60 / 4  # four rows below the horizon, a twelfth of the height
+    assert torch.allclose(finest[0, 0] * depth.clamp(max=farthest), torch.full((48, 320), farthest))
+    assert finest[0, 0, 16, 150] == 1 and finest[0, 0, 5, 310] > 3 and finest[0, 0, 47, 310] > 8
+    assert torch.allclose(half[0, 0], finest[0, 0].reshape(24, 2, 160, 2).mean((1, 3)))
 
 
 def test_motion_that_is_seen_in_a_mirror_is_mirrored_back(monkeypatch):

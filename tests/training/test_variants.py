@@ -235,7 +235,7 @@ def test_a_residual_dual_network_gets_its_starting_scale_once_and_is_read_back(a
     changes = {
         "training.beyond_paper_residual": True,
         "training.hr.max_steps": 1,
-        "training.beyond_paper_plane_steps": 9,
+        "training.beyond_paper_corridor_steps": 9,
     }  # of stage 1 alone
     run = after_stage_1(train={"lr": None, "dual": changes})
     train_variant(run, "dual", 0)
