@@ -174,16 +174,6 @@ def test_mistakes_end_in_one_line(weights, tmp_path, monkeypatch, capfd, argumen
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
-def test_damaged_weights_and_a_card_of_another_size_are_refused(weights, tmp_path):
-    card = json.loads(weights.with_suffix(".json").read_text())
-    for data, hr_size in ((weights.read_bytes()[:-100], SIZE), (weights.read_bytes(), (33, 33))):
-        (tmp_path / "w.safetensors").write_bytes(data)
-        (tmp_path / "w.json").write_text(json.dumps(card | {"hr_size": hr_size}))
-        with pytest.raises(InputError, match=r"w\.safetensors: "):
-            export_onnx(tmp_path / "w.safetensors", tmp_path / "depth.onnx")
-        assert not (tmp_path / "depth.onnx").exists()
-
-
 @pytest.mark.usefixtures("written_already")
 @pytest.mark.parametrize("missing", ["onnx", "onnxscript", "onnxruntime"])
 def test_without_the_packages_it_says_how_to_get_them_or_that_nothing_was_compared(weights, tmp_path, monkeypatch, capsys, missing):

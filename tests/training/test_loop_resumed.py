@@ -9,7 +9,6 @@ import pytest
 import torch
 from small_training import STEPS, WIDE, at_forward, equal, kill, kill_softly, profile_of, quiet_torch, run, triplets  # noqa: F401
 
-from dualdepth.errors import InputError
 from dualdepth.training.checkpoints import last_checkpoint
 from dualdepth.training.log import read_log
 from dualdepth.training.loop import step_seconds
@@ -147,21 +146,6 @@ def test_a_checkpoint_or_log_that_cannot_be_written_is_a_warning(run, tmp_path, 
     said = capsys.readouterr().out
     assert "warning: checkpoint of step 2 was not written" in said and "there is none yet" in said
     assert "warning: the log was not written ([Errno 28] No space left on device)" in said
-
-
-def test_weights_that_cannot_be_written_are_an_error_and_the_checkpoint_stays(run, tmp_path, monkeypatch):
-    whole = run("whole")
-
-    def full(tensors, path):
-        raise OSError(28, "No space left on device")
-
-    with monkeypatch.context() as patched:
-        patched.setattr("dualdepth.training.weights.save_file", full)
-        with pytest.raises(InputError, match=r"full/model\.safetensors: could not be written \(.*No space left"):
-            run("full")
-    assert last_checkpoint(tmp_path / "full")["step"] == STEPS
-    assert not list((tmp_path / "full").glob(".*part*"))
-    assert equal(run("full"), whole)
 
 
 def test_leftovers_of_a_killed_writer_are_removed(run, profile_of, tmp_path):
