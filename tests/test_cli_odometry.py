@@ -43,16 +43,6 @@ def values_of(capsys, *arguments, **files):
     return json.loads(captured.out), captured.err
 
 
-def fails(capsys, *arguments, **files):
-    """The one line on stderr of a call that must end with exit code 2 and print nothing else."""
-    with pytest.raises(SystemExit) as stop:
-        run(*arguments, **files)
-    captured = capsys.readouterr()
-    assert stop.value.code == 2 and captured.out == ""
-    assert len(captured.err.splitlines()) == 1 and captured.err.startswith("error: ")
-    return captured.err
-
-
 @pytest.mark.parametrize("length", [3, 5])
 @pytest.mark.parametrize("align", ALIGNMENTS)
 def test_json_is_flat_and_equals_the_library(files, capsys, length, align):
@@ -99,18 +89,18 @@ def test_frames_without_neighbours_have_no_steps_and_no_snippets(files, capsys):
     assert "note: snippet_ate: none, since no 3 frames have consecutive numbers\n" in notes
 
 
-def test_files_that_do_not_fit_are_named(files, capsys):
+def test_files_that_do_not_fit_are_named(files, refused):
     write_trajectory("short.txt", arc(50, 0.01, 1.0))
-    assert "short.txt has 50 poses but gt.txt has 300" in fails(capsys, pred="short.txt")
+    assert "short.txt has 50 poses but gt.txt has 300" in refused(run, pred="short.txt")
     write_trajectory("later.txt", arc(5, 0.01, 1.0), np.arange(300, 305))
-    assert "later.txt has frames 300 to 304 and gt.txt 0 to 299: none in common" in fails(capsys, pred="later.txt")
+    assert "later.txt has frames 300 to 304 and gt.txt 0 to 299: none in common" in refused(run, pred="later.txt")
     write_trajectory("one.txt", arc(2, 0.01, 1.0), np.array([299, 300]))
-    assert "one.txt and gt.txt have only frame 299 in common" in fails(capsys, pred="one.txt")
+    assert "one.txt and gt.txt have only frame 299 in common" in refused(run, pred="one.txt")
 
 
 @pytest.mark.parametrize(
     "arguments, says",
     [(["--snippet", "4"], "--snippet"), (["--align", "sim3"], "--align"), (["--json", "gt.txt/out.json"], "cannot write")],
 )
-def test_bad_options_are_one_line(files, capsys, arguments, says):
-    assert says in fails(capsys, *arguments)
+def test_bad_options_are_one_line(files, refused, arguments, says):
+    assert says in refused(run, *arguments)

@@ -104,6 +104,9 @@ def test_digests_are_of_content_and_of_what_a_folder_holds(tmp_path):
     assert folder_digest(tmp_path, "*.txt") == before
     (tmp_path / "b.txt").touch()
     assert folder_digest(tmp_path, "*.txt") != before
+    with_two = folder_digest(tmp_path, "*.txt")
+    (tmp_path / "b.txt").write_bytes(b"1")
+    assert folder_digest(tmp_path, "*.txt") != with_two
     assert folder_digest("", "*.txt") == folder_digest("", "*.png") != before
 
 

@@ -60,9 +60,7 @@ def test_a_missing_map_is_named_with_the_script_that_makes_it(tmp_path):
 def test_what_is_no_png_is_named(tmp_path):
     cv2.imwrite(str(tmp_path / "a.jpg"), every_id())
     (tmp_path / "a.png").write_bytes((tmp_path / "a.jpg").read_bytes())
-    assert "not a PNG" in fails(tmp_path / "a.png")
-    (tmp_path / "b.png").write_bytes(b"")
-    assert "not a PNG file (0 bytes)" in fails(tmp_path / "b.png")
+    assert "not a PNG file" in fails(tmp_path / "a.png")
 
 
 @pytest.mark.parametrize("channels", [3, 4])

@@ -162,15 +162,12 @@ def test_a_file_that_differs_from_pytorch_or_cannot_be_run_is_not_left(weights, 
     ],
     ids=str,
 )
-def test_mistakes_end_in_one_line(weights, tmp_path, monkeypatch, capfd, arguments, said):
+def test_mistakes_end_in_one_line(weights, tmp_path, monkeypatch, refused, arguments, said):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").touch()
     given = dict(zip(arguments[::2], arguments[1::2]))
     words = {"--weights": str(weights), "--out": "depth.onnx"} | given
-    with pytest.raises(SystemExit) as stop:
-        main(["export", *(word for pair in words.items() for word in pair)])
-    err = capfd.readouterr().err
-    assert stop.value.code == 2 and len(err.splitlines()) == 1 and err.startswith("error: ") and said in err
+    assert said in refused(main, ["export", *(word for pair in words.items() for word in pair)])
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
