@@ -38,6 +38,11 @@ from tests.small_encoder import save_encoder
 from tests.small_kitti import DRIVE, write_calibration, write_drive
 
 FRAMES = 10
+IMPORTED = [
+    *("dualdepth.training.variants", "dualdepth.plots", "accelerate", "kornia", "torch._inductor", "torch.utils.tensorboard"),
+    *("transformers.models.resnet.modeling_resnet", "huggingface_hub.serialization"),
+]
+"""What a training imports, also when it is under way."""
 
 
 class Tally(NamedTuple):
@@ -78,7 +83,7 @@ def make_checkout(root: Path, **training: object) -> Path:
 def start(run: Run, variant: str, seed: int, **environment: str) -> BaseProcess:
     """Train in a process of its own group, with more in its environment."""
     server = multiprocessing.get_context("forkserver")
-    server.set_forkserver_preload(["dualdepth.training.variants", "accelerate", "transformers"])
+    server.set_forkserver_preload(IMPORTED)
     process = server.Process(target=_train, args=(run, variant, seed, environment))
     process.start()
     while process.is_alive() and os.getpgid(process.pid) != process.pid:
