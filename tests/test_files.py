@@ -158,5 +158,5 @@ def test_the_program_that_a_process_becomes_holds_its_lock_if_it_is_to(tmp_path,
             pass
         holder.kill()
         holder.wait()
-    with locked(tmp_path / "lock"):
+    with locked(tmp_path / "lock", patience=20):  # the system closes the old program's files a moment after the new one is there
         pass
