@@ -9,6 +9,7 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 
 import numpy as np
 import pytest
+from loopback import bare_server  # noqa: F401
 from small_encoder import save_encoder
 from small_kitti import write_calibration, write_drive
 
@@ -41,6 +42,21 @@ def checkout(tmp_path):
     (root / "notebooks").mkdir(parents=True)
     (root / "Snakefile").touch()
     return root
+
+
+@pytest.fixture
+def refused(capsys):
+    """Calls what must end with exit code 2; gives the one line that it says on stderr."""
+
+    def call(command, *arguments, **settings):
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as stop:
+            command(*arguments, **settings)
+        said = capsys.readouterr().err.splitlines()
+        assert stop.value.code == 2 and len(said) == 1 and said[0].startswith("error: "), said
+        return said[0]
+
+    return call
 
 
 @pytest.fixture

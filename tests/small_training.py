@@ -19,6 +19,7 @@ from dualdepth.training.loop import Trainer
 from dualdepth.training.stages import Stage
 
 STEPS = 6
+WHOLE = {}
 WIDE = (192, 288)
 """For bfloat16: at 192×192 PoseNet's last map is 1×1, where the CPU leaves the gradient of padded weights unset."""
 
@@ -75,6 +76,14 @@ def run(profile_of, triplets, tmp_path):
         return load_file(path)
 
     return call
+
+
+@pytest.fixture
+def whole(run, request):
+    """Weights of the module's undisturbed training, trained once, since they are the same for each test."""
+    if request.module.__name__ not in WHOLE:
+        WHOLE[request.module.__name__] = run("whole")
+    return WHOLE[request.module.__name__]
 
 
 def at_forward(number, event):

@@ -1,7 +1,6 @@
 """`dualdepth evaluate odometry` from outside: numbers, JSON, what cannot be measured, and one line for every mistake."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -42,16 +41,6 @@ def values_of(capsys, *arguments, **files):
     assert run("--json", "-", *arguments, **files) == 0
     captured = capsys.readouterr()
     return json.loads(captured.out), captured.err
-
-
-def fails(capsys, *arguments, **files):
-    """The one line on stderr of a call that must end with exit code 2 and print nothing else."""
-    with pytest.raises(SystemExit) as stop:
-        run(*arguments, **files)
-    captured = capsys.readouterr()
-    assert stop.value.code == 2 and captured.out == ""
-    assert len(captured.err.splitlines()) == 1 and captured.err.startswith("error: ")
-    return captured.err
 
 
 @pytest.mark.parametrize("length", [3, 5])
@@ -100,34 +89,18 @@ def test_frames_without_neighbours_have_no_steps_and_no_snippets(files, capsys):
     assert "note: snippet_ate: none, since no 3 frames have consecutive numbers\n" in notes
 
 
-def test_a_prediction_that_does_not_move_gives_numbers(files, capsys):
-    write_trajectory("still.txt", np.tile(np.eye(4), (300, 1, 1)))
-    for align in ALIGNMENTS:
-        values, notes = values_of(capsys, "--align", align, pred="still.txt")
-        assert all(np.isfinite(v) for v in values.values()) and notes == ""
-    assert values["snippet_ate_mean"] == pytest.approx(np.sqrt(1 + 4) / 3, rel=1e-3)
-
-
-def test_files_that_do_not_fit_are_named(files, capsys):
+def test_files_that_do_not_fit_are_named(files, refused):
     write_trajectory("short.txt", arc(50, 0.01, 1.0))
-    assert "short.txt has 50 poses but gt.txt has 300" in fails(capsys, pred="short.txt")
+    assert "short.txt has 50 poses but gt.txt has 300" in refused(run, pred="short.txt")
     write_trajectory("later.txt", arc(5, 0.01, 1.0), np.arange(300, 305))
-    assert "later.txt has frames 300 to 304 and gt.txt 0 to 299: none in common" in fails(capsys, pred="later.txt")
+    assert "later.txt has frames 300 to 304 and gt.txt 0 to 299: none in common" in refused(run, pred="later.txt")
     write_trajectory("one.txt", arc(2, 0.01, 1.0), np.array([299, 300]))
-    assert "one.txt and gt.txt have only frame 299 in common" in fails(capsys, pred="one.txt")
-
-
-@pytest.mark.parametrize("option", ["pred", "gt"])
-def test_a_bad_file_is_one_line_and_nothing_is_written(files, capsys, option):
-    Path("bad.txt").write_text(Path("gt.txt").read_text() + "1 0 0 0 0 1 0 0 0 0 1\n")
-    assert "bad.txt, line 301: 11 numbers" in fails(capsys, "--json", "out.json", **{option: "bad.txt"})
-    assert "absent.txt: no such file" in fails(capsys, "--json", "out.json", **{option: "absent.txt"})
-    assert not Path("out.json").exists()
+    assert "one.txt and gt.txt have only frame 299 in common" in refused(run, pred="one.txt")
 
 
 @pytest.mark.parametrize(
     "arguments, says",
     [(["--snippet", "4"], "--snippet"), (["--align", "sim3"], "--align"), (["--json", "gt.txt/out.json"], "cannot write")],
 )
-def test_bad_options_are_one_line(files, capsys, arguments, says):
-    assert says in fails(capsys, *arguments)
+def test_bad_options_are_one_line(files, refused, arguments, says):
+    assert says in refused(run, *arguments)

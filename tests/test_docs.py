@@ -131,17 +131,6 @@ def test_commands_in_prose_are_known(command, monkeypatch):
     DRY.get(entry, dry_program)(command.words, monkeypatch)
 
 
-def test_a_misspelt_option_is_noticed(monkeypatch, capsys):
-    """The check of commands checks."""
-    for text in ("dualdepth train --profil_e paper", "python data_scripts/export_depth.py --lists x"):
-        with pytest.raises(SystemExit):
-            dry_program(Command("", text).words, monkeypatch)
-    for text in ("make reproduce PROFIL=paper", "make nothing"):
-        with pytest.raises(AssertionError):
-            dry_make(Command("", text).words, monkeypatch)
-    assert entry_of(Command("", "dualdepth nothing --like it")) is None
-
-
 def links(page):
     """Relative link targets of a page, as (path, anchor)."""
     targets = [target for target in re.findall(r"\]\(([^)\s]+)\)", prose(page)) if not re.match(r"[a-z]+:", target)]

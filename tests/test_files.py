@@ -104,6 +104,9 @@ def test_digests_are_of_content_and_of_what_a_folder_holds(tmp_path):
     assert folder_digest(tmp_path, "*.txt") == before
     (tmp_path / "b.txt").touch()
     assert folder_digest(tmp_path, "*.txt") != before
+    with_two = folder_digest(tmp_path, "*.txt")
+    (tmp_path / "b.txt").write_bytes(b"1")
+    assert folder_digest(tmp_path, "*.txt") != with_two
     assert folder_digest("", "*.txt") == folder_digest("", "*.png") != before
 
 
@@ -155,5 +158,5 @@ def test_the_program_that_a_process_becomes_holds_its_lock_if_it_is_to(tmp_path,
             pass
         holder.kill()
         holder.wait()
-    with locked(tmp_path / "lock"):
+    with locked(tmp_path / "lock", patience=20):  # the system closes the old program's files a moment after the new one is there
         pass

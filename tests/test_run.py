@@ -81,6 +81,7 @@ def test_stage_2_is_stale_when_stage_1_or_its_own_settings_change(recipe):
     assert recipe(variant="dual_no_sa") != plain
     assert recipe(variant="dual_cosine") != plain
     assert recipe("training: {hr: {epochs: 3}}\n", "dual") != plain
+    assert recipe("training: {loss: {smoothness: 0.2}}\n", "dual") != plain
     assert recipe("training: {lr: {epochs: 3}}\n", "dual") == plain  # what it did to LR-Net stands in LR-Net's weights
     assert recipe("train: {lr: , dual: {training.hr.max_steps: 9}}\n", "dual") != plain
     assert recipe("train: {lr: , dual: , hr_only: }\n", "dual") == plain

@@ -7,7 +7,6 @@ import pytest
 from import_graph import ROOT, closure, modules, notebook_imports
 
 from dualdepth import staleness
-from dualdepth.files import file_digest, folder_digest
 from dualdepth.staleness import CODE, EXEMPT, code_digest, inputs, notebook_digest
 
 NOTEBOOKS = sorted(path.stem for path in (ROOT / "notebooks").glob("*.ipynb"))
@@ -112,18 +111,3 @@ def test_a_setting_is_named_by_its_path():
     found = inputs("05_table_main", "tables", ROOT, setting={"evaluation": {"crop": "eigen"}}, files={"own.json": None})
     assert {("setting evaluation.crop", "eigen"), ("files own.json", None)} <= set(found)
     assert [name for name, _ in found][:2] == ["notebook 05_table_main", f"code {CODE['tables'][0]}"]
-
-
-def test_a_file_that_is_not_there_has_no_digest(tmp_path):
-    assert file_digest(tmp_path / "a") is None
-
-
-def test_a_folders_digest_changes_with_its_files_alone(tmp_path):
-    assert folder_digest("", "*") == folder_digest(tmp_path, "*")
-    (tmp_path / "a.png").write_bytes(b"1")
-    before = folder_digest(tmp_path, "*.png")
-    assert before == folder_digest(tmp_path, "*.png") != folder_digest("", "*.png")
-    (tmp_path / "other.txt").touch()
-    assert folder_digest(tmp_path, "*.png") == before
-    (tmp_path / "a.png").write_bytes(b"12")
-    assert folder_digest(tmp_path, "*.png") != before

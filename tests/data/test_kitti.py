@@ -87,16 +87,6 @@ def test_grey_is_repeated_over_three_channels(tmp_path, suffix):
     assert np.abs(found.astype(int) - 77).max() <= 1
 
 
-@pytest.mark.parametrize("suffix", [".png", ".jpg"])
-def test_a_truncated_image_is_an_error_and_not_half_a_picture(tmp_path, suffix):
-    path = tmp_path / f"a{suffix}"
-    cv2.imwrite(str(path), wall(96, 160))
-    whole = path.read_bytes()
-    path.write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(InputError, match=rf"a\{suffix}: truncated"):
-        read_image(path)
-
-
 @pytest.mark.parametrize("content", [b"", b"not an image at all", b"<html>404</html>"])
 def test_what_is_no_image_is_named(tmp_path, content):
     path = tmp_path / "a.png"

@@ -216,15 +216,6 @@ def test_bad_files_are_one_line_with_file_and_line(tmp_path, case):
     assert message.startswith(str(tmp_path / "a.txt")) and says in message and "\n" not in message
 
 
-def test_no_file_and_no_text_file(tmp_path):
-    for path, said in ((tmp_path / "absent.txt", "no such file"), (tmp_path, "Is a directory")):
-        with pytest.raises(InputError, match=f"{path}: .*{said}"):
-            read_trajectory(path)
-    (tmp_path / "a.txt").write_bytes(bytes(range(256)) * 4)
-    with pytest.raises(InputError, match=r"a\.txt, line 1: .* is no number"):
-        read_trajectory(tmp_path / "a.txt")
-
-
 def test_frame_numbers_pair_the_poses():
     prediction, truth = trajectory([2, 3, 5, 9]), trajectory(range(8), indexed=False)
     frames, poses, true_poses = pair_frames(prediction, truth)
@@ -239,14 +230,6 @@ def test_without_frame_numbers_there_is_a_pose_for_each_true_one():
     assert frames.tolist() == [5, 6, 8]
     np.testing.assert_array_equal(poses, prediction.poses)
     np.testing.assert_array_equal(true_poses, truth.poses)
-
-
-def test_trajectories_that_do_not_fit_are_named():
-    names = ("p.txt", "g.txt")
-    with pytest.raises(InputError, match=r"p\.txt has 5 poses but g\.txt has 8"):
-        pair_frames(trajectory(range(5), indexed=False), trajectory(range(8), indexed=False), names)
-    with pytest.raises(InputError, match=r"p\.txt has frames 8 to 9 and g\.txt 0 to 7: none in common"):
-        pair_frames(trajectory([8, 9]), trajectory(range(8), indexed=False), names)
 
 
 def test_published_files_are_read(real):

@@ -1,6 +1,5 @@
 """A real HTTP server on loopback, with ranges, that can be told to misbehave; and zip archives to serve."""
 
-import contextlib
 import http.server
 import io
 import re
@@ -8,6 +7,10 @@ import tarfile
 import threading
 import zipfile
 from collections.abc import Iterator
+
+import pytest
+
+from data_scripts import fetch
 
 
 class Loopback(http.server.ThreadingHTTPServer):
@@ -76,9 +79,11 @@ class _Handler(http.server.BaseHTTPRequestHandler):
         self.close_connection = True
 
 
-@contextlib.contextmanager
-def running() -> Iterator[Loopback]:
-    """A server that answers while the block runs."""
+@pytest.fixture
+def bare_server(monkeypatch) -> Iterator[Loopback]:
+    """A server that answers during a test, past any proxy and without pauses between attempts."""
+    monkeypatch.setenv("no_proxy", "127.0.0.1")
+    monkeypatch.setattr(fetch, "PAUSES", (0.0, 0.0))
     server = Loopback()
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True)
     thread.start()

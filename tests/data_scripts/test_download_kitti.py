@@ -6,11 +6,11 @@ import shutil
 from pathlib import Path
 from types import SimpleNamespace
 
-import loopback
 import pytest
+from loopback import zip_of
 
 from data_scripts import download_kitti as script
-from data_scripts import fetch, sources
+from data_scripts import sources
 
 DAY, DRIVE = "2011_09_26", "2011_09_26_drive_0095_sync"
 CALIB_ADDRESS = "raw_data/2011_09_26_calib.zip"
@@ -25,19 +25,16 @@ EIGEN = (
 def drive_zip(name):
     members = {f"{DAY}/{name}/image_0{camera}/data/0000000000.png": bytes([camera]) * 20000 for camera in range(4)}
     members[f"{DAY}/{name}/velodyne_points/data/0000000000.bin"] = b"laser scan"
-    return loopback.zip_of(members)
+    return zip_of(members)
 
 
 @pytest.fixture
-def server(monkeypatch):
-    monkeypatch.setenv("no_proxy", "127.0.0.1")
-    monkeypatch.setattr(fetch, "PAUSES", (0.0, 0.0))
-    with loopback.running() as running:
-        running.files[CALIB_ADDRESS] = loopback.zip_of({f"{DAY}/calib_cam_to_cam.txt": b"P_rect_02: 1 0 0\n"})
-        for number in ("0095", "0052", "0013"):
-            name = f"{DAY}_drive_{number}"
-            running.files[f"raw_data/{name}/{name}_sync.zip"] = drive_zip(f"{name}_sync")
-        yield running
+def server(bare_server):
+    bare_server.files[CALIB_ADDRESS] = zip_of({f"{DAY}/calib_cam_to_cam.txt": b"P_rect_02: 1 0 0\n"})
+    for number in ("0095", "0052", "0013"):
+        name = f"{DAY}_drive_{number}"
+        bare_server.files[f"raw_data/{name}/{name}_sync.zip"] = drive_zip(f"{name}_sync")
+    return bare_server
 
 
 @pytest.fixture
@@ -50,16 +47,6 @@ def lists(server, monkeypatch):
 
 def run(server, root, *arguments):
     return script.main(["--root", str(root), *arguments], kitti_home=server.home, lists_home=server.home)
-
-
-def fails(server, root, capsys, *arguments):
-    """The one line on stderr of a run that must fail with exit code 2."""
-    with pytest.raises(SystemExit) as exit_info:
-        run(server, root, *arguments)
-    assert exit_info.value.code == 2
-    lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == 1
-    return lines[0]
 
 
 def files(root):
@@ -109,23 +96,23 @@ def test_archives_are_kept_on_demand_and_used_again(server, tmp_path):
     assert (tmp_path / DAY / DRIVE / "image_02").is_dir()
 
 
-def test_a_disk_that_is_too_small_is_told_before_anything_is_downloaded(server, tmp_path, capsys, monkeypatch):
+def test_a_disk_that_is_too_small_is_told_before_anything_is_downloaded(server, tmp_path, refused, monkeypatch):
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=1000))
-    assert "0.2 MB missing; free some" in fails(server, tmp_path, capsys, DRIVE)
+    assert "0.2 MB missing; free some" in refused(run, server, tmp_path, DRIVE)
     assert server.sent == []
     assert files(tmp_path) == []
 
 
-def test_an_archive_that_does_not_exist_is_told_before_anything_is_downloaded(server, tmp_path, capsys):
-    message = fails(server, tmp_path, capsys, DRIVE, "2011_09_26_drive_9999")
+def test_an_archive_that_does_not_exist_is_told_before_anything_is_downloaded(server, tmp_path, refused):
+    message = refused(run, server, tmp_path, DRIVE, "2011_09_26_drive_9999")
     assert "2011_09_26_drive_9999_sync.zip: not there (HTTP 404)" in message
     assert server.sent == []
 
 
-def test_a_bad_archive_is_refused_and_comes_anew_the_next_time(server, tmp_path, capsys):
+def test_a_bad_archive_is_refused_and_comes_anew_the_next_time(server, tmp_path, refused):
     good = server.files[DRIVE_ADDRESS]
     server.files[DRIVE_ADDRESS] = good.replace(b"laser scan", b"laser SCAN")
-    message = fails(server, tmp_path, capsys, DRIVE)
+    message = refused(run, server, tmp_path, DRIVE)
     assert "Bad CRC-32" in message and "run again to get it anew" in message
     assert files(tmp_path) == [f"{DAY}/.calib.complete.json", f"{DAY}/calib_cam_to_cam.txt"]
     server.files[DRIVE_ADDRESS] = good
@@ -133,11 +120,11 @@ def test_a_bad_archive_is_refused_and_comes_anew_the_next_time(server, tmp_path,
 
 
 def test_odometry_is_laid_out_as_odometry_root_and_depth_below_its_own_folder(server, tmp_path, monkeypatch):
-    server.files["data_odometry_poses.zip"] = loopback.zip_of({"dataset/poses/09.txt": b"1"})
-    server.files["data_odometry_calib.zip"] = loopback.zip_of({"dataset/sequences/09/calib.txt": b"P2: 1"})
+    server.files["data_odometry_poses.zip"] = zip_of({"dataset/poses/09.txt": b"1"})
+    server.files["data_odometry_calib.zip"] = zip_of({"dataset/sequences/09/calib.txt": b"P2: 1"})
     images = {f"dataset/sequences/09/image_{camera}/000000.png": b"image" for camera in (2, 3)}
-    server.files["data_odometry_color.zip"] = loopback.zip_of(images)
-    depth = loopback.zip_of({f"val/{DRIVE}/proj_depth/groundtruth/image_02/0000000005.png": b"depth"})
+    server.files["data_odometry_color.zip"] = zip_of(images)
+    depth = zip_of({f"val/{DRIVE}/proj_depth/groundtruth/image_02/0000000005.png": b"depth"})
     server.files["data_depth_annotated.zip"] = depth
     checked = sources.IMPROVED_DEPTH._replace(digest=f"md5:{hashlib.md5(depth).hexdigest()}")
     monkeypatch.setattr(sources, "IMPROVED_DEPTH", checked)
@@ -177,14 +164,14 @@ def test_a_profile_fetches_its_drives_and_those_of_its_lists(server, lists, tmp_
         (["--lists-only"], "eigen/test_files.txt: not there (HTTP 404)"),
     ],
 )
-def test_mistakes_end_in_one_line(server, tmp_path, capsys, arguments, expected):
-    assert expected in fails(server, tmp_path, capsys, *arguments)
+def test_mistakes_end_in_one_line(server, tmp_path, refused, arguments, expected):
+    assert expected in refused(run, server, tmp_path, *arguments)
     assert files(tmp_path) == []
 
 
-def test_a_root_that_cannot_be_a_folder_is_told(server, tmp_path, capsys):
+def test_a_root_that_cannot_be_a_folder_is_told(server, tmp_path, refused):
     (tmp_path / "file").write_text("")
-    assert "kitti: nothing can be written there" in fails(server, tmp_path / "file" / "kitti", capsys, DRIVE)
+    assert "kitti: nothing can be written there" in refused(run, server, tmp_path / "file" / "kitti", DRIVE)
 
 
 def test_nothing_to_download_shows_the_usage(server, tmp_path, capsys):

@@ -6,7 +6,6 @@ import socket
 import urllib.request
 
 import pytest
-from loopback import running
 
 import data_scripts.fetch as module
 from data_scripts.fetch import fetch, remote_size
@@ -17,12 +16,9 @@ SHA256 = f"sha256:{hashlib.sha256(CONTENT).hexdigest()}"
 
 
 @pytest.fixture
-def server(monkeypatch):
-    monkeypatch.setenv("no_proxy", "127.0.0.1")
-    monkeypatch.setattr(module, "PAUSES", (0.0, 0.0))
-    with running() as loopback:
-        loopback.files["file.bin"] = CONTENT
-        yield loopback
+def server(bare_server):
+    bare_server.files["file.bin"] = CONTENT
+    return bare_server
 
 
 def get(server, folder, **settings):

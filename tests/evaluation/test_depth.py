@@ -150,18 +150,6 @@ def test_the_clamp_comes_after_the_median():
     assert row["abs_rel"] == pytest.approx((0 + 0 + 20 / 60) / 3)
 
 
-def test_resizing_depth_and_disparity_differ():
-    prediction, ground_truth = sample(5)
-    scores = {
-        (kind, resize): evaluate([p], [ground_truth], kind=kind, resize=resize)["abs_rel"][0]
-        for kind, p in (("depth", prediction), ("disparity", 1 / prediction))
-        for resize in ("depth", "disparity")
-    }
-    assert scores["depth", "depth"] != pytest.approx(scores["depth", "disparity"], rel=1e-3)
-    for resize in ("depth", "disparity"):
-        assert scores["depth", resize] == pytest.approx(scores["disparity", resize], rel=1e-5)
-
-
 def test_an_image_without_ground_truth_is_skipped_and_counted():
     ground_truth = np.full((20, 20), 10.0)
     frame = evaluate(np.ones((3, 5, 5)), [ground_truth, np.zeros((20, 20)), ground_truth])

@@ -17,10 +17,3 @@ def write_count(test: str, tried: int, held: int, note: str = "") -> None:
         os.write(file, (json.dumps({"test": test, "tried": tried, "held": held, "note": note}) + "\n").encode())
     finally:
         os.close(file)
-
-
-def same_bytes(expected: bytes, found: bytes) -> int:
-    """How many bytes of `expected` stand in `found` at their place."""
-    if expected == found:
-        return len(expected)
-    return sum(a == b for a, b in zip(expected, found, strict=False))

@@ -2,11 +2,9 @@
 
 import io
 import struct
-import tarfile
 import zipfile
 import zlib
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 from PIL import Image
@@ -94,20 +92,6 @@ def npz_bomb(whole: bytes) -> bytes:
     return whole[:at] + whole[at : at + 24] + struct.pack("<I", 0xFFFFFFF0) + whole[at + 28 :]
 
 
-class Evil:
-    """Runs code where it is unpickled."""
-
-    def __reduce__(self) -> tuple:
-        return Path("pwned").touch, ()
-
-
-def link(name: str) -> zipfile.ZipInfo:
-    """A member that is a symbolic link."""
-    info = zipfile.ZipInfo(name)
-    info.external_attr = 0o120777 << 16
-    return info
-
-
 def swelling(_: bytes) -> bytes:
     """A zip of half a megabyte that unpacks to 500."""
     buffer = io.BytesIO()
@@ -115,13 +99,6 @@ def swelling(_: bytes) -> bytes:
         for _ in range(500):
             member.write(bytes(10**6))
     return buffer.getvalue()
-
-
-def special(kind: bytes) -> Damage:
-    """A tar with one member that is no file."""
-    info = tarfile.TarInfo("img-a.jpg")
-    info.type, info.linkname = kind, "/etc/passwd"
-    return lambda _: tar_of({"img-a.jpg": info})
 
 
 def grids(content: bytes) -> Damage:

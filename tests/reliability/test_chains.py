@@ -60,7 +60,7 @@ def test_a_chain_killed_at_random_ends_with_the_same_files(chain, counted):
     with counted():
         tallies = try_kills(chain, kills=2, each=2)
         assert sum(tally.kills for tally in tallies) == 2
-        assert all(tally.identical and tally.said == "" and tally.same == tally.compared > 1000 for tally in tallies)
+        assert all(tally.identical and tally.said == "" for tally in tallies) and len(chain.outcome()) > 20
     assert not [*chain.root.glob("results/**/*.part*"), *chain.root.glob("work/*/prepared/*.part*")]
 
 

@@ -7,7 +7,7 @@ import resource
 import shutil
 
 import pytest
-from small_training import at_forward, equal, kill_softly, profile_of, quiet_torch, triplets  # noqa: F401
+from small_training import at_forward, equal, kill_softly, profile_of, quiet_torch, triplets, whole  # noqa: F401
 from small_training import run as run_with  # noqa: F401
 
 from dualdepth.errors import InputError
@@ -18,7 +18,6 @@ from dualdepth.training.checkpoints import checkpoint_path, last_checkpoint, loa
 
 SMALL = 300_000
 """Bytes: more than a log or a picture, less than weights."""
-WHOLE = {}
 
 
 @contextlib.contextmanager
@@ -36,14 +35,6 @@ def files_of_at_most(size):
 def run(run_with, profile_of):
     """Trains four steps, with a checkpoint after each second one."""
     return lambda *arguments, **settings: run_with(*arguments, profile=profile_of(stage={"max_steps": 4}), **settings)
-
-
-@pytest.fixture
-def whole(run):
-    """Weights of the undisturbed training, which are the same for each test."""
-    if not WHOLE:
-        WHOLE.update(run("whole"))
-    return WHOLE
 
 
 def test_on_a_full_disk_a_training_goes_on_with_its_last_checkpoint_and_ends_in_one_line(run, whole, tmp_path, capsys, counted):

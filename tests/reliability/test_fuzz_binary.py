@@ -20,14 +20,13 @@ from worlds import tar_of
 from data_scripts.archives import unpack
 from dualdepth.commands.evaluate import load_predictions
 from dualdepth.data import lidar, make3d
-from dualdepth.data.depth_maps import load_ground_truth, save_ground_truth
+from dualdepth.data.depth_maps import load_ground_truth
 from dualdepth.data.kitti import Frame, read_image
 from dualdepth.data.label_maps import read_label_map
 from dualdepth.errors import InputError
 from dualdepth.evaluation.depth import evaluate, summary
 from dualdepth.files import file_digest
 from dualdepth.inference import predict
-from dualdepth.training.checkpoints import load_checkpoint, save_checkpoint
 from dualdepth.training.weights import load_card, load_weights, save_weights
 
 pytestmark = pytest.mark.fuzz
@@ -50,11 +49,6 @@ def saved(save, **arrays) -> bytes:
     return buffer.getvalue()
 
 
-def npz(folder: Path) -> bytes:
-    save_ground_truth(folder / "whole.npz", [np.full((3, 4), 5, np.float32)] * 2)
-    return (folder / "whole.npz").read_bytes()
-
-
 def zipped(method: int) -> bytes:
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", method) as archive:
@@ -65,11 +59,6 @@ def zipped(method: int) -> bytes:
 
 def network() -> torch.nn.Module:
     return torch.nn.Sequential(torch.nn.Linear(2, 2), torch.nn.BatchNorm1d(2))
-
-
-def checkpoint(folder: Path) -> bytes:
-    model = network()
-    return save_checkpoint(folder, 1, model, torch.optim.Adam(model.parameters()), recipe="r").read_bytes()
 
 
 def weights(folder: Path) -> bytes:
@@ -131,12 +120,10 @@ FILES = {
     "photo": (encoded(PICTURE, ".jpg"), make3d.read_photo),
     "laser scan": (np.random.default_rng(0).uniform(-5, 5, (40, 4)).astype("<f4").tobytes(), read_scan),
     "predictions": (saved(np.save, arr=ONES), lambda p: evaluate(load_predictions(p), [np.full((3, 4), 5.0)] * 2, crop="none")),
-    "ground truth": (npz, lambda p: list(load_ground_truth(p))),
     "ground truth in one array": (saved(np.savez, data=ONES), lambda p: list(load_ground_truth(p))),
     "zip, stored": (zipped(zipfile.ZIP_STORED), extract),
     "zip, deflated": (zipped(zipfile.ZIP_DEFLATED), extract),
     "tar.gz": (tar_of({"b/c.bin": b"content " * 20}), extract),
-    "checkpoint": (checkpoint, load_checkpoint),
     "weights": (weights, read_weights),
 }
 

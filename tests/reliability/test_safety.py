@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from strategies import FUZZ
 
 from data_scripts import sources
-from dualdepth.cli import main
 from dualdepth.commands.reproduce import parse_parameters
 
 REPOSITORY = Path(__file__).parents[2]
@@ -112,10 +111,3 @@ def test_any_text_reaches_a_notebook_unchanged(counted):
             assert given_to_a_notebook(value) == value
 
     try_one()
-
-
-def test_a_parameter_that_a_notebook_does_not_have_is_refused(tmp_path, capsys):
-    with pytest.raises(SystemExit) as stop:
-        main(["notebook", "00_quickstart", "--out", str(tmp_path / "o.ipynb"), "--set", 'profile; open("X", "w")=1'])
-    assert stop.value.code == 2
-    assert len(capsys.readouterr().err.splitlines()) == 1 and not list(tmp_path.iterdir())

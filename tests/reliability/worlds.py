@@ -30,7 +30,7 @@ FRAME = "kitti/" + DRIVE + "/image_02/data/0000000001"
 SCAN = "kitti/" + DRIVE + "/velodyne_points/data/0000000001.bin"
 CAMERAS, LASER = f"kitti/{DAY}/calib_cam_to_cam.txt", f"kitti/{DAY}/calib_velo_to_cam.txt"
 IMPROVED = f"improved/val/{DAY}_drive_0001_sync/proj_depth/groundtruth/image_02/0000000001.png"
-CHECKPOINT, WEIGHTS = "work/own/runs/lr/seed0/checkpoint_00000001.pt", "work/own/runs/lr/seed0/model.safetensors"
+WEIGHTS = "work/own/runs/lr/seed0/model.safetensors"
 ZIP = f"raw_data/{DAY}_calib.zip"
 PHOTOS, GRIDS = "Test134.tar.gz", "Test134Depth.tar.gz"
 
