@@ -90,6 +90,21 @@ def test_mixed_positions_give_mixed_results(similarity, normalise):
     assert torch.allclose(found, plain[:, :, order], rtol=1e-3, atol=1e-5 * plain.abs().max().item())
 
 
+@pytest.mark.parametrize("normalise", ["none", "mean"])
+def test_each_pair_weighs_the_same_both_ways(normalise):
+    for similarity in SIMILARITIES:
+        w = attention_of(similarity, normalise).weights(embedded())
+        assert torch.allclose(w, w.mT)
+        assert not torch.allclose(w, w[:, :1])
+
+
+@pytest.mark.parametrize("similarity", SIMILARITIES)
+def test_softmax_weights_of_a_position_sum_to_one(similarity):
+    w = attention_of(similarity, "softmax").weights(embedded())
+    assert torch.allclose(w.sum(1), torch.ones(1, 6, dtype=torch.float64))
+    assert not torch.allclose(w.sum(2), torch.ones(1, 6, dtype=torch.float64), atol=1e-3)
+
+
 @pytest.mark.parametrize("similarity", ["cosine", "l1", "l2"])
 def test_a_position_is_most_similar_to_itself(similarity):
     w = attention_of(similarity).weights(embedded())
@@ -97,10 +112,27 @@ def test_a_position_is_most_similar_to_itself(similarity):
     assert (w - torch.eye(6)).max() < 0.99
 
 
+def test_positions_do_not_look_at_other_items():
+    attention = attention_of()
+    features, image = inputs()
+    with torch.no_grad():
+        assert torch.allclose(attention(features, image)[:1], attention(features[:1], image[:1]), rtol=1e-5)
+
+
 def test_coordinates_go_from_minus_one_to_one_x_along_the_width():
     found = coordinates(torch.zeros(2, 9, 3, 5))
     x, y = torch.tensor([-1, -0.5, 0, 0.5, 1]), torch.tensor([-1.0, 0, 1])
     assert torch.equal(found, torch.stack([x.expand(3, 5), y[:, None].expand(3, 5)]).expand(2, 2, 3, 5))
+
+
+def test_features_mean_colours_and_coordinates_are_embedded():
+    attention, seen = attention_of(), []
+    attention.embed.register_forward_pre_hook(lambda _module, given: seen.append(given[0]))
+    features, image = inputs()
+    attention(features, image)
+    assert torch.equal(seen[0][:, :CHANNELS], features)
+    assert torch.allclose(seen[0][:, CHANNELS:-2], image.reshape(2, 3, 2, 4, 3, 8).mean((3, 5)))
+    assert torch.equal(seen[0][:, -2:], coordinates(features))
 
 
 @pytest.mark.parametrize("similarity", SIMILARITIES)

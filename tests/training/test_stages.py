@@ -198,3 +198,14 @@ def test_the_log_has_the_scale_of_what_sa_attention_hands_over(dual_of, link):
     assert ("attention_scale" in statistics) == (link != "direct")
     if handed:
         assert torch.allclose(statistics["attention_scale"], handed[0].square().mean().sqrt())
+
+
+def test_a_step_moves_hr_net_sa_attention_and_posenet_but_not_lr_net(dual_of):
+    stage = seen_stage(False, dual_of("attention")).train()
+    before = {name: value.clone() for name, value in stage.state_dict().items()}
+    optimizer = torch.optim.Adam(stage.parameters(), lr=1e-3)
+    stage(batch_of(1, (192, 192))).losses.total.backward()
+    optimizer.step()
+    same = {name for name, value in stage.state_dict().items() if torch.equal(value, before[name])}
+    assert same == {f"depth_net.lr_net.{name}" for name in stage.depth_net.lr_net.state_dict()}
+    assert {name.split(".")[1] for name in before if name.startswith("depth_net.")} == {"lr_net", "attention", "hr_net"}
