@@ -113,14 +113,14 @@ def locked(path: str | Path, patience: float = 0.0, *, inherited: bool = False) 
     """
     from filelock import FileLock, Timeout
 
-    def sign(descriptor: int) -> None:
+    def write_owner(descriptor: int) -> None:
         os.ftruncate(descriptor, 0)
         os.pwrite(descriptor, f"process {os.getpid()} on {socket.gethostname()}".encode(), 0)
         os.set_inheritable(descriptor, inherited)
 
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(path, timeout=patience, on_acquired=sign)
+    lock = FileLock(path, timeout=patience, on_acquired=write_owner)
     try:
         lock.acquire()
     except Timeout:

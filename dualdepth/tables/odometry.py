@@ -153,8 +153,8 @@ def trajectory_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
 def motion_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
     """Predicted against true motion, frame by frame: slope and correlation of yaw and of the forward step, means over seeds.
 
-    A slope of 1 is right, 0 is a PoseNet that does not turn. `yaw_bias` is what it turns too far to the right on average, degrees a
-    frame: trajectories add it up. Predicted steps have no unit: they are first divided by the mean ratio.
+    A slope of 1 is right, 0 is a PoseNet that does not turn. `yaw_mean_error` is predicted less true yaw, degrees a frame,
+    to the right: trajectories add it up. Predicted steps have no unit: they are first divided by the mean ratio.
     """
     rows = []
     for name in scored_variants(run):
@@ -162,7 +162,7 @@ def motion_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
             fits = [_fit(*motions(run, name, seed, entry)) for seed in seeds]
             row = {"method": _methods(run)[name], "variant": name, "sequence": sequence_of(entry)[0]}
             rows.append(row | pd.DataFrame(fits).mean().to_dict() | {"seeds": seed_label(seeds), "source": "measured"})
-    columns = ["method", "variant", "sequence", "yaw_slope", "yaw_correlation", "yaw_bias", "step_slope", "step_correlation"]
+    columns = ["method", "variant", "sequence", "yaw_slope", "yaw_correlation", "yaw_mean_error", "step_slope", "step_correlation"]
     columns += ["n", "seeds", "source"]
     return pd.DataFrame(rows, columns=columns)
 
@@ -181,7 +181,7 @@ def _fit(truth: np.ndarray, ours: np.ndarray) -> dict[str, float]:
         (variance, covariance), (_, other) = np.cov(truth[:, column], ours[:, column])
         with np.errstate(divide="ignore", invalid="ignore"):
             values |= {f"{what}_slope": covariance / variance, f"{what}_correlation": covariance / np.sqrt(variance * other)}
-    return values | {"yaw_bias": (ours - truth)[:, 0].mean(), "n": len(truth)}
+    return values | {"yaw_mean_error": (ours - truth)[:, 0].mean(), "n": len(truth)}
 
 
 def odometry_claims(run: Run, seeds: Sequence[int]) -> pd.DataFrame:

@@ -33,7 +33,7 @@ class TrainingLog:
     def row(self, step: int, values: dict[str, float]) -> None:
         """Add the numbers of a step."""
         self.rows.append({"step": step} | values)
-        with self._told():
+        with self._warn_of_errors():
             write_text(self.path, pd.DataFrame(self.rows).to_csv(index=False, float_format="%.6g"))
             for name, value in values.items():
                 self.writer.add_scalar(name, value, step)
@@ -52,7 +52,7 @@ class TrainingLog:
         figure = plots.training_panel(
             target.cpu().numpy(), losses.synthesized[0].cpu().numpy(), disparity[0].cpu().numpy(), losses.error[0, 0].cpu().numpy()
         )
-        with self._told():
+        with self._warn_of_errors():
             plots.save(figure, self.folder / "panels" / f"step_{step:07d}.png")
             self.writer.add_figure("panel", figure, step)
 
@@ -62,11 +62,11 @@ class TrainingLog:
 
     def close(self) -> None:
         """Flush TensorBoard's file."""
-        with self._told():
+        with self._warn_of_errors():
             self.writer.close()
 
     @contextlib.contextmanager
-    def _told(self) -> Iterator[None]:
+    def _warn_of_errors(self) -> Iterator[None]:
         try:
             yield
         except OSError as error:

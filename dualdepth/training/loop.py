@@ -179,7 +179,7 @@ class Trainer:
                     bar.set_postfix(photometric=f"{values['photometric']:.4f}")
                 if log and (step % self.settings.panel_every == 0 or step == self.total):
                     log.panel(step, output.target[0], output.losses, output.disparity[0])
-                stopping = stop.agreed()
+                stopping = stop.stop_requested()
                 if stopping or step == self.total or self._checkpoint_due(step):
                     self._save(step)
                 if stopping:
@@ -303,7 +303,7 @@ class StopRequest:
     def __init__(self, accelerator: Accelerator) -> None:
         self.accelerator, self.noted = accelerator, False
 
-    def agreed(self) -> bool:
+    def stop_requested(self) -> bool:
         """Whether any process was told to stop; all of them ask after each step, so that they stop at the same one."""
         if self.accelerator.num_processes == 1:
             return self.noted

@@ -117,7 +117,8 @@ def corridor(intrinsics: Tensor, size: tuple[int, int], scales: int) -> list[Ten
     """Disparities (B, 1, H/2^s, W/2^s) of a level road between two walls, seen along it.
 
     The road's rise with a row's distance below the horizon, which is taken to be at the principal point, the walls' with a column's
-    distance to the middle. Where both are small it is equally far: up to a twelfth of the image's height below the horizon.
+    distance to the middle; they have no upper edge. It is equally far up to a twelfth of the image's height below the horizon, and up to
+    5.5 times that to either side of the middle.
 
     Args:
         intrinsics: (B, 3, 3) at this size.

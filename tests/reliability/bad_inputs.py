@@ -156,7 +156,6 @@ STORED = [
         NO_FILE | QUARTERS | {"a wrong checksum": turned(0.5), "colours": image("RGB"), "16 bits": deep, "JPEG": image("L", "jpeg")},
     ),
     *all_of("stage 2", WEIGHTS, {"zero bytes": text(b""), "changed": turned(0.8)}),
-    *all_of("stage 2", "work/own/sources.json", {"a web page": text("<html>"), "a list": text("[]"), "cut": QUARTERS["truncated at 0.5"]}),
 ]
 ARCHIVES = [
     *all_of(

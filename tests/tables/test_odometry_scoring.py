@@ -252,7 +252,7 @@ def test_a_pose_net_that_turns_half_as_far_and_always_to_the_left(run, monkeypat
     row = table_module.motion_table(run, [0, 1]).iloc[0]
     assert row["yaw_slope"] == pytest.approx(0.5) and row["step_slope"] == pytest.approx(1)
     assert row["yaw_correlation"] == pytest.approx(1) and row["step_correlation"] == pytest.approx(1)
-    assert row["yaw_bias"] == pytest.approx(-yaws.mean() / 2 - 1)
+    assert row["yaw_mean_error"] == pytest.approx(-yaws.mean() / 2 - 1)
     assert (row["variant"], row["n"], row["seeds"]) == ("odometry_lr", 7, "0 1")
 
 

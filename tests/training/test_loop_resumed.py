@@ -32,7 +32,7 @@ def test_a_stop_while_posenet_learns_alone_or_after_it_changes_nothing(run, prof
     whole = run("whole", profile=profile)
     log = read_log(tmp_path / "whole/log.csv")
     assert list(log["learning_rate"][:3]) == pytest.approx([1e-3, 1e-3, 1e-4])
-    assert list(log["feature_spread"] > 0) == [False] * 2 + [True] * (STEPS - 2)  # a plane has none
+    assert list(log["feature_spread"] > 0) == [False] * 2 + [True] * (STEPS - 2)  # a corridor has none
     with pytest.raises(SystemExit):
         run("cut", profile=profile, kind=at_forward(number, kill_softly))
     assert equal(run("cut", profile=profile), whole)
