@@ -11,7 +11,7 @@ export OMP_WAIT_POLICY := PASSIVE
 STAMP := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help env reproduce status test soak lab lint browser lock bench publish notebooks clean
+.PHONY: help env reproduce status test soak mutants lab lint browser lock bench publish notebooks clean
 
 help: ## what can be made
 	@echo "make reproduce [PROFILE=miniature] [KITTI_ROOT=dir] [ODOMETRY_ROOT=dir] [MAKE3D_ROOT=dir] [LABELS_ROOT=dir] [TEST_LIST=file]"
@@ -41,6 +41,9 @@ test: env lint ## lint, unit tests, the tiny chain, notebooks against their stor
 	pytest --nbval $(SIDE_BY_SIDE) --dist loadscope $(filter-out $(REPORT),$(NOTEBOOKS))
 	pytest --nbval $(REPORT)
 	@echo "all tests passed; the notebooks' data and weights are in work/tiny, tables and figures in results/tiny"
+
+mutants: env ## break lines of the science one at a time, and see that the tests notice each
+	python -m tests.mutants
 
 soak: env ## the long form of the tests of reliability, to results/published/reliability.csv: make soak [PARTS="kills fuzz"]
 	python -m tests.reliability.soak $(PARTS)
