@@ -6,7 +6,8 @@ from typing import Any
 
 import pandas as pd
 
-from dualdepth.evaluation.distance import PARTS, evaluate_near_far
+from dualdepth.evaluation.depth import evaluate_parts
+from dualdepth.evaluation.distance import PARTS, near_and_far
 from dualdepth.run import Run
 from dualdepth.tables.rows import COMPARISON, compare_trainings, comparison_row, training_row, with_paper
 from dualdepth.tables.scoring import Predictions, protocol, truth
@@ -19,13 +20,14 @@ RATIOS = {False: "one median ratio an image", True: "a median ratio for each par
 def near_far(run: Run, variant: str, seed: int, own_ratio: bool = False) -> pd.DataFrame:
     """Per-image metrics of a training's near and far pixels; kept while the run is open, since several rows ask for them."""
     disparities = Predictions(run, variant, seed).disparities
-    return evaluate_near_far(disparities, truth(run), own_ratio=own_ratio, kind="disparity", **protocol(run.profile.evaluation))
+    settings = protocol(run.profile.evaluation)
+    return evaluate_parts(disparities, truth(run), near_and_far, own_ratio=own_ratio, kind="disparity", **settings)
 
 
 def score_part(run: Run, variant: str, seed: int, *, part: str, own_ratio: bool = False) -> pd.DataFrame:
     """Per-image metrics of one part; images without such pixels have no row."""
     frame = near_far(run, variant, seed, own_ratio)
-    return frame[frame.index.get_level_values("distance") == part].droplevel("distance")
+    return frame[frame.index.get_level_values("part") == part].droplevel("part")
 
 
 def distance_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:

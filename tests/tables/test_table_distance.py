@@ -129,7 +129,7 @@ def given(make_run, monkeypatch):
 
     def near_far(run, variant, seed, own_ratio=False):
         rows = {(image, part): error for part in PARTS for image, error in values[variant, part].items()}
-        return pd.DataFrame({"abs_rel": pd.Series(rows), "a1": 1 - pd.Series(rows)}).rename_axis(["image", "distance"])
+        return pd.DataFrame({"abs_rel": pd.Series(rows), "a1": 1 - pd.Series(rows)}).rename_axis(["image", "part"])
 
     monkeypatch.setattr(distance, "near_far", near_far)
     text = "about: x\ndata:\n  source: kitti\n  train_list: eigen_zhou\ntrain: {lr: , dual: }\n"
@@ -172,9 +172,9 @@ def test_only_what_is_trained_has_gains(given):
 
 
 def test_a_trainings_parts_are_evaluated_once(run, monkeypatch):
-    asked, evaluate = [], distance.evaluate_near_far
+    asked, evaluate = [], distance.evaluate_parts
     monkeypatch.setattr(
-        distance, "evaluate_near_far", lambda *a, own_ratio, **k: asked.append(own_ratio) or evaluate(*a, own_ratio=own_ratio, **k)
+        distance, "evaluate_parts", lambda *a, own_ratio, **k: asked.append(own_ratio) or evaluate(*a, own_ratio=own_ratio, **k)
     )
     distance_table(run, [0, 1])
     distance_claims(run, [0, 1])
