@@ -5,7 +5,6 @@ import json
 from collections.abc import Sequence
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
@@ -15,7 +14,7 @@ from dualdepth.evaluation.depth import METRICS, evaluate_parts
 from dualdepth.evaluation.regions import REGIONS, in_regions
 from dualdepth.files import file_digest
 from dualdepth.run import Run, Sources
-from dualdepth.tables.rows import COMPARISON, compare_trainings, comparison_row, seed_label, training_row, with_paper
+from dualdepth.tables.rows import COMPARISON, compare_gains, compare_trainings, seed_label, training_row, with_paper
 from dualdepth.tables.scoring import Predictions, protocol, scored_frames, truth
 
 ROWS = {"dual_no_sa": "w/o SA", "dual": "w/ SA"}
@@ -104,17 +103,7 @@ def sa_region_claims(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
             table = compare_trainings(run, [("dual", "dual_no_sa")], chosen, scores=partial(score_region, part=region))
             tables.append(table.assign(region=region, seed=seed_label(chosen)))
         if (tables[-1]["metric"] != "").all():
-            tables.append(pd.DataFrame([gain_row(run, chosen)]).assign(region=" against ".join(REGIONS), seed=seed_label(chosen)))
+            gains = compare_gains(run, ("dual", "dual_no_sa"), list(REGIONS), chosen, scores=score_region)
+            row = dict(zip("ab", (f"gain of dual, {region}" for region in REGIONS))) | gains
+            tables.append(pd.DataFrame([row]).assign(region=" against ".join(REGIONS), seed=seed_label(chosen)))
     return pd.concat(tables, ignore_index=True)[["region", "seed", *COMPARISON]]
-
-
-def gain_row(run: Run, seeds: Sequence[int]) -> dict[str, Any]:
-    """Is SA's gain in Abs Rel larger on road than on tree and grass, in the images that have both?"""
-    gains = []
-    for region in REGIONS:
-        both = [[score_region(run, v, seed, part=region)["abs_rel"] for seed in seeds] for v in ROWS]
-        gains.append([without - attended for without, attended in zip(*both)])
-    shared = gains[0][0].index.intersection(gains[1][0].index)
-    road, green = ([gain.loc[shared].to_numpy() for gain in region] for region in gains)
-    names = dict(zip("ab", (f"gain of dual, {region}" for region in REGIONS)))
-    return names | {"metric": "abs_rel"} | comparison_row(road, green, lower_is_better=False)
