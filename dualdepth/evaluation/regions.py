@@ -5,10 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from dualdepth.errors import InputError
-from dualdepth.evaluation.depth import Parts, Pixels
+from dualdepth.evaluation.depth import Parts, Pixels, errors
 
 REGIONS = {"Road": (0,), "Tree & grass": (8, 9)}
 """Cityscapes training ids of the paper's regions: with little texture, and with much (docs/protocols.md, "Regions of SA-Attention")."""
+POLE = 5
+"""Cityscapes' training id of poles (docs/protocols.md, "Sharpness")."""
 
 
 def in_regions(label_maps: Sequence[np.ndarray], names: Sequence[object]) -> Parts:
@@ -29,3 +31,18 @@ def in_regions(label_maps: Sequence[np.ndarray], names: Sequence[object]) -> Par
         return {region: np.isin(ids, classes) for region, classes in REGIONS.items()}
 
     return parts
+
+
+def class_errors(
+    depth: np.ndarray, truth: np.ndarray, labels: np.ndarray, classes: Sequence[int], *, max_depth: float
+) -> dict[str, float] | None:
+    """The seven metrics over the pixels of some classes, with their number as `valid_pixels`; None where there are none.
+
+    Args:
+        depth, truth: (H, W) metres; depth is positive and scaled already, truth is 0 where there is none, and counts below `max_depth`.
+        labels, classes: (H, W) training ids, and those that count.
+    """
+    chosen = np.isin(labels, classes) & (truth > 0) & (truth < max_depth)
+    if not chosen.any():
+        return None
+    return errors(truth[chosen].astype(np.float64), depth[chosen].astype(np.float64)) | {"valid_pixels": int(chosen.sum())}

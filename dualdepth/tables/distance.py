@@ -10,7 +10,7 @@ from dualdepth.evaluation.depth import evaluate_parts
 from dualdepth.evaluation.distance import PARTS, near_and_far
 from dualdepth.run import Run
 from dualdepth.tables.rows import COMPARISON, compare_gains, compare_trainings, training_row, with_paper
-from dualdepth.tables.scoring import Predictions, protocol, truth
+from dualdepth.tables.scoring import Predictions, truth
 
 ROWS = {"lr": "w/o HR-Net", "dual_no_sa": "w/ HR-Net, w/o SA", "dual": "w/ HR-Net"}
 RATIOS = {False: "one median ratio an image", True: "a median ratio for each part"}
@@ -20,7 +20,7 @@ RATIOS = {False: "one median ratio an image", True: "a median ratio for each par
 def near_far(run: Run, variant: str, seed: int, own_ratio: bool = False) -> pd.DataFrame:
     """Per-image metrics of a training's near and far pixels; kept while the run is open, since several rows ask for them."""
     disparities = Predictions(run, variant, seed).disparities
-    settings = protocol(run.profile.evaluation)
+    settings = run.profile.evaluation.model_dump()
     return evaluate_parts(disparities, truth(run), near_and_far, own_ratio=own_ratio, kind="disparity", **settings)
 
 

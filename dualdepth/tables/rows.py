@@ -89,13 +89,7 @@ def compare_trainings(
 ) -> pd.DataFrame:
     """Paired differences between variants, image by image and seed by seed.
 
-    Args:
-        run: of the profile.
-        pairs: (a, b), of which a is the one that the paper says is better.
-        seeds: trained of both.
-        metrics: columns of the scores.
-        scores: gives them.
-        own_truth: they are of another benchmark, which brings its ground truth.
+    Of each pair (a, b), a is the one that the paper says is better; for `own_truth` see `training_row`.
 
     Returns:
         Rows per pair and metric: both means, the difference a − b, its 95 % interval over images, its spread over seeds, and in words

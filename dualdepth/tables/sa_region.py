@@ -15,7 +15,7 @@ from dualdepth.evaluation.regions import REGIONS, in_regions
 from dualdepth.files import file_digest
 from dualdepth.run import Run, Sources
 from dualdepth.tables.rows import COMPARISON, compare_gains, compare_trainings, seed_label, training_row, with_paper
-from dualdepth.tables.scoring import Predictions, protocol, scored_frames, truth
+from dualdepth.tables.scoring import Predictions, scored_frames, truth
 
 ROWS = {"dual_no_sa": "w/o SA", "dual": "w/ SA"}
 COLUMNS = ["region", "method", *(f"{m}{end}" for m in METRICS for end in ("", "_std")), "n", "seeds", "source", "variant", "note"]
@@ -58,7 +58,8 @@ def score_regions(run: Run, variant: str, seed: int) -> pd.DataFrame:
     label_maps = LabelMaps(Sources.load(run).labels_root, scored_frames(run))
     disparities, parts = Predictions(run, variant, seed).disparities, in_regions(label_maps, label_maps.paths)
     required = f"a valid pixel of {' or '.join(REGIONS)}; check the label maps, the crop and the depth limits"
-    return evaluate_parts(disparities, truth(run), parts, required=required, kind="disparity", **protocol(run.profile.evaluation))
+    settings = run.profile.evaluation.model_dump()
+    return evaluate_parts(disparities, truth(run), parts, required=required, kind="disparity", **settings)
 
 
 def score_region(run: Run, variant: str, seed: int, *, part: str) -> pd.DataFrame:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dualdepth.evaluation.depth import METRICS
-from dualdepth.evaluation.objects import POLE, class_errors
+from dualdepth.evaluation.regions import POLE, class_errors
 
 
 def test_only_pixels_of_the_class_with_truth_in_range_count():
