@@ -86,8 +86,7 @@ def errors(ground_truth: np.ndarray, prediction: np.ndarray) -> dict[str, float]
     """The seven metrics of paired depths.
 
     Args:
-        ground_truth: (P,) metres, positive; P ≥ 1.
-        prediction: (P,) metres, positive.
+        ground_truth, prediction: (P,) metres, positive; P ≥ 1.
 
     Returns:
         Values by the names in `METRICS`; a1, a2, a3 are shares in [0, 1] with max(gt/p, p/gt) < 1.25^k, strictly.

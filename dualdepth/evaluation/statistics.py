@@ -17,12 +17,7 @@ class Difference(NamedTuple):
 
 
 def paired_bootstrap(
-    a: Sequence[float] | np.ndarray,
-    b: Sequence[float] | np.ndarray,
-    *,
-    seed: int,
-    samples: int = 10000,
-    block: int = 1,
+    a: Sequence[float] | np.ndarray, b: Sequence[float] | np.ndarray, *, seed: int, samples: int = 10000, block: int = 1
 ) -> Difference:
     """95 % percentile bootstrap of the mean difference of two methods over the same images.
 

@@ -28,8 +28,8 @@ def main_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
     missing = "not run: no training-side laser frames, and the scored frames are of one drive" if run.profile.data.has_truth else NO_TRUTH
     rows = []
     for name, method in BASELINE_ROWS.items():
-        row = {"method": method, **common, "supervision": "Depth", "note": fit if scores else missing}
-        rows.append(row | (mean_row([scores[name]]) if scores else {}))
+        row = {"method": method, **common, "supervision": "Depth", **(mean_row([scores[name]]) if scores else {})}
+        rows.append(row | {"note": fit if scores else missing})
     untrained = {"method": "LR-Net, untrained", "supervision": "-", "note": NO_TRUTH}
     if run.profile.data.has_truth:
         note = "; ".join(filter(None, ["before its first step", scored_note(run)]))

@@ -78,9 +78,8 @@ def test_a_parts_own_ratio_is_of_what_was_predicted_before_any_clamp():
     prediction = np.array([[1.0] * 5 + [30, 40, 50]])  # at the image's ratio of ten the far part would be 80 throughout
     own = evaluate_parts([prediction], [truth], near_and_far, crop="none", own_ratio=True)
     np.testing.assert_allclose(own["abs_rel"], 0, atol=1e-12)
-    assert evaluate_parts([prediction], [truth], near_and_far, crop="none").loc[(0, FAR), "abs_rel"] == pytest.approx(
-        (50 / 30 + 1 + 30 / 50) / 3
-    )
+    one = evaluate_parts([prediction], [truth], near_and_far, crop="none")
+    assert one.loc[(0, FAR), "abs_rel"] == pytest.approx((50 / 30 + 1 + 30 / 50) / 3)
 
 
 def test_a_part_is_clamped_after_its_own_scaling():
