@@ -55,11 +55,13 @@ def labels_digest(run: Run) -> str | None:
 @lru_cache(maxsize=64)
 def score_regions(run: Run, variant: str, seed: int) -> pd.DataFrame:
     """Per-image metrics of a training's regions; kept while the run is open, since several rows ask for them."""
-    label_maps = LabelMaps(Sources.load(run).labels_root, scored_frames(run))
+    label_maps, maps = LabelMaps(Sources.load(run).labels_root, scored_frames(run)), truth(run)
+    if len(label_maps) != len(maps):
+        raise InputError(f"{run.prepared}: {len(maps)} ground truths but {len(label_maps)} label maps; run notebook 02_prepare_data again")
     disparities, parts = Predictions(run, variant, seed).disparities, in_regions(label_maps, label_maps.paths)
     required = f"a valid pixel of {' or '.join(REGIONS)}; check the label maps, the crop and the depth limits"
     settings = run.profile.evaluation.model_dump()
-    return evaluate_parts(disparities, truth(run), parts, required=required, kind="disparity", **settings)
+    return evaluate_parts(disparities, maps, parts, required=required, kind="disparity", **settings)
 
 
 def score_region(run: Run, variant: str, seed: int, *, part: str) -> pd.DataFrame:

@@ -172,9 +172,7 @@ def test_only_what_is_trained_has_gains(given):
 
 def test_a_trainings_parts_are_evaluated_once(run, monkeypatch):
     asked, evaluate = [], distance.evaluate_parts
-    monkeypatch.setattr(
-        distance, "evaluate_parts", lambda *a, own_ratio, **k: asked.append(own_ratio) or evaluate(*a, own_ratio=own_ratio, **k)
-    )
+    monkeypatch.setattr(distance, "evaluate_parts", lambda *a, **k: asked.append(k["own_ratio"]) or evaluate(*a, **k))
     distance_table(run, [0, 1])
     distance_claims(run, [0, 1])
     assert sorted(asked) == 6 * [False] + 6 * [True]  # three networks, two seeds

@@ -138,3 +138,9 @@ def test_the_gain_on_road_is_compared_with_that_on_green_in_images_that_have_bot
     assert [row["mean_a"], row["mean_b"], row["difference"]] == pytest.approx([0.2, -0.05, 0.25])
     assert row["n"] == 2 and row["in_words"].startswith("better by 0.25: ")
     assert rows.loc["1", "difference"] == pytest.approx(0.25)
+
+
+def test_there_is_one_label_map_for_each_ground_truth(run, monkeypatch):
+    monkeypatch.setattr(sa_region, "truth", lambda run: truths()[:2])
+    with pytest.raises(InputError, match="2 ground truths but 3 label maps"):
+        sa_region.score_regions(run, "dual", 0)
