@@ -53,8 +53,7 @@ def unpack(
     It is gone through twice: to check every member, then to write.
 
     Args:
-        archive: a zip or a gzipped tar file.
-        folder: made if it is missing.
+        archive, folder: a zip or a gzipped tar file, and where its files go; made if it is missing.
         place: maps a member's name to its path below `folder`, or to None to leave it out (its CRC is verified all the same).
         bar: set to the archive's total and counted up by the bytes that are read.
         check: called with the folder that the files wait in to be moved; what it raises refuses the archive.

@@ -48,8 +48,7 @@ def export_frames(
     """Write the ground truth of frames to `out` and return the number of maps.
 
     Args:
-        frames: in the order of the maps.
-        out: the npz file.
+        frames, out: in the order of the maps, and the npz file that they go to.
         kitti: folder of KITTI raw, for projected laser scans.
         camera_z: depth along the camera's axis instead of the laser's forward coordinate.
         improved: folder of the accumulated maps, which are then taken instead.

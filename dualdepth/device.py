@@ -105,9 +105,8 @@ def choose_precision(
     Frames of LR-Net of 64×64 and less stay in float32: PoseNet ends in 1×1 maps there, whose bf16 gradients torch 2.13 gets wrong.
 
     Args:
-        setting: of the profile.
+        setting, lr_size: of the profile; LR-Net's frames have (height, width).
         device: that trains.
-        lr_size: of LR-Net's frames, (height, width).
         seconds: how long a step takes in a precision; asked only where there is a choice.
     """
     if setting != "auto":

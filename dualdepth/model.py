@@ -145,8 +145,7 @@ class DepthModel(ModelHubMixin):
 
         Args:
             name: the file or folder, or `owner/name`.
-            device: as of the class.
-            precision: as of the class.
+            device, precision: as of the class.
             hub: `revision`, `cache_dir`, `token`, `local_files_only`, `force_download`.
 
         Raises:

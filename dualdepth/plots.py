@@ -16,8 +16,6 @@ DEPTH_MAP = "magma_r"
 """Near is bright, far is dark; logarithmic in depth, so that near and far both show."""
 NEAR, FAR = 3.0, 80.0
 """Metres at the ends of the colour scale."""
-
-
 POINT_RADIUS = 2.5
 """Pixels that a laser point is enlarged by in pictures of errors."""
 

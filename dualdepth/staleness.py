@@ -45,8 +45,7 @@ def inputs(notebook: str, step: str, root: Path, **kinds: Mapping[str, Any]) -> 
     """All that shapes a step's result beside its input files, as (name, value), such as `("code losses", digest)`.
 
     Args:
-        notebook: the step's notebook.
-        step: a key of `CODE`.
+        notebook, step: the step's notebook, and a key of `CODE`.
         root: of the checkout.
         kinds: more, such as `setting={"evaluation": {"crop": "eigen"}}`, which gives `("setting evaluation.crop", "eigen")`.
     """

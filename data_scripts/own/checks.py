@@ -141,8 +141,7 @@ def examine(footages: Sequence[Footage], focal: float, stride: int | None = None
     """Measure the motion between neighbours and cut the footages into drives where it stands still, jumps or misses frames.
 
     Args:
-        footages: of one camera.
-        focal: focal length as a share of the frame's width.
+        footages, focal: of one camera, and its focal length as a share of the frame's width.
         stride: take every n-th frame; None: so many that the median flow comes to about `AIM`, but not above it.
 
     Raises:

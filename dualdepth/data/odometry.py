@@ -225,8 +225,7 @@ def write_trajectory(path: str | Path, poses: np.ndarray, frames: np.ndarray | N
     """Write poses as a KITTI pose file, atomically and without loss.
 
     Args:
-        path: the file.
-        poses: (N, 4, 4) or (N, 3, 4), camera to world, metres.
+        path, poses: the file, and (N, 4, 4) or (N, 3, 4), camera to world, metres.
         frames: (N,) frame numbers, written first in each line; without them lines have 12 numbers.
 
     Raises:

@@ -91,8 +91,7 @@ def missing_files_error(what: str, root: str | Path, missing: Iterable[tuple[Fra
     """One message for all missing files, neighbours in number written as ranges.
 
     Args:
-        what: the files are for.
-        root: they are missing in.
+        what, root: what the files are for, and where they are missing.
         missing: frames and the folder of the missing file, such as `image_02` or `velodyne_points`.
     """
     folders: dict[str, list[int]] = {}

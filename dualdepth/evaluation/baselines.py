@@ -91,11 +91,9 @@ def leave_one_drive_out(
     """Predict each map from the maps of all the other drives, where there are no separate training frames.
 
     Args:
-        maps: (H, W) ground truth each, as for `depth_sums`.
-        drives: drive of each map, as in `Frame.drive`.
+        maps, drives: (H, W) ground truth each, and the drive of each, as in `Frame.drive`.
         baseline: one of `BASELINES`.
-        grid: (h, w) cells over the whole image.
-        max_depth: metres.
+        grid, max_depth: (h, w) cells, and metres, as for `depth_sums`.
 
     Returns:
         A prediction for each map, of its size, in metres; maps of one drive and size share one array.

@@ -65,10 +65,8 @@ def latency(
     """Measure `model(*inputs)` in eval mode on the device of its inputs.
 
     Args:
-        model: on the same device as `inputs`; left unchanged.
-        *inputs: batch as it will be used, such as (1, 3, 384, 1248).
-        repeats: timed runs, of which the median counts.
-        warmup: runs before them, which choose kernels and fill caches.
+        model, *inputs: on one device; left unchanged, and a batch as it will be used, such as (1, 3, 384, 1248).
+        repeats, warmup: timed runs, of which the median counts, and runs before them, which choose kernels and fill caches.
         precision: `bf16` runs under autocast, with the weights in float32.
         **options: handed to the model.
     """

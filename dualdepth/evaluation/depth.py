@@ -5,7 +5,7 @@ plain mean over images. Values are compared in float64.
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, get_args, get_type_hints
 
@@ -68,6 +68,12 @@ class Pixels(NamedTuple):
     """What the prediction was multiplied by; 1 without median scaling."""
     unscaled: np.ndarray
     """(P,) float64, the resized prediction as depth, before it was scaled and clamped."""
+    shape: tuple[int, int]
+    """(H, W) of the map."""
+
+
+Parts = Callable[[int, Pixels], dict[str, np.ndarray]]
+"""Gives the parts of an image from its place and its pixels, by name: masks (P,), which may overlap or leave pixels out."""
 
 
 def crop_box(crop: str, height: int, width: int) -> tuple[slice, slice]:
@@ -80,8 +86,7 @@ def errors(ground_truth: np.ndarray, prediction: np.ndarray) -> dict[str, float]
     """The seven metrics of paired depths.
 
     Args:
-        ground_truth: (P,) metres, positive; P ≥ 1.
-        prediction: (P,) metres, positive.
+        ground_truth, prediction: (P,) metres, positive; P ≥ 1.
 
     Returns:
         Values by the names in `METRICS`; a1, a2, a3 are shares in [0, 1] with max(gt/p, p/gt) < 1.25^k, strictly.
@@ -138,28 +143,56 @@ def valid_pixels(prediction: np.ndarray, ground_truth: np.ndarray, protocol: Pro
         prediction = 1 / prediction
     measured = ground_truth.ravel()[index].astype(np.float64)
 
-    ratio = float(np.median(measured)) / float(np.median(prediction)) if protocol.median_scaling else 1.0
-    scaled = np.clip(prediction * ratio, protocol.min_depth, protocol.max_depth)
-    return Pixels(measured, scaled, index, ratio, prediction)
+    scaled, ratio = scale_and_clamp(measured, prediction, protocol)
+    return Pixels(measured, scaled, index, ratio, prediction, ground_truth.shape)
 
 
-def evaluate(
-    predictions: Sequence[np.ndarray] | np.ndarray, ground_truths: Iterable[np.ndarray], *, name: str = "predictions", **protocol: Any
+def scale_and_clamp(ground_truth: np.ndarray, prediction: np.ndarray, protocol: Protocol) -> tuple[np.ndarray, float]:
+    """The prediction (P,) at the ground truth's median, then clamped, in metres; and the ratio that it was multiplied by."""
+    ratio = float(np.median(ground_truth)) / float(np.median(prediction)) if protocol.median_scaling else 1.0
+    return np.clip(prediction * ratio, protocol.min_depth, protocol.max_depth), ratio
+
+
+def evaluate(predictions: Sequence[np.ndarray] | np.ndarray, ground_truths: Iterable[np.ndarray], **options: Any) -> pd.DataFrame:
+    """Score predictions against ground truth, image by image: `evaluate_parts` of all valid pixels, with its arguments and errors.
+
+    Returns:
+        One row per scored image, indexed by its place (`image`).
+    """
+    return evaluate_parts(predictions, ground_truths, lambda _, pixels: {"all": np.ones_like(pixels.index, bool)}, **options).droplevel(
+        "part"
+    )
+
+
+def evaluate_parts(
+    predictions: Sequence[np.ndarray] | np.ndarray,
+    ground_truths: Iterable[np.ndarray],
+    parts: Parts,
+    *,
+    name: str = "predictions",
+    own_ratio: bool = False,
+    metrics: Callable[[np.ndarray, np.ndarray], dict[str, float]] = errors,
+    required: str = "a valid pixel; check the crop and the depth limits",
+    **protocol: Any,
 ) -> pd.DataFrame:
-    """Score predictions against ground truth, image by image.
+    """Score parts of each image by the protocol. An assumption, since the paper is silent: all parts of an image share its median ratio.
 
     Args:
         predictions: (N, h, w) array or N arrays (h, w), depth or disparity.
         ground_truths: N maps (H, W) in metres, 0 where there is no measurement; with a length, they are read one by one.
+        parts: gives each image's parts.
         name: what error messages call the predictions, such as their file.
+        own_ratio: scale each part by its own median ratio instead.
+        metrics: of paired depths.
+        required: what an image must have to be scored, for the message where none has it.
         **protocol: fields of `Protocol`.
 
     Returns:
-        One row per scored image, indexed by its place (`image`): the columns of `METRICS`, `scale_ratio` and `valid_pixels`.
-        Images without a valid pixel have no row; `attrs["skipped"]` lists them.
+        One row per image and part that has pixels, indexed by (`image`, `part`): the metrics, `scale_ratio` and `valid_pixels`.
+        `attrs["skipped"]` lists the images without a valid pixel.
 
     Raises:
-        InputError: the numbers of maps differ, no image has a valid pixel, or a prediction cannot be scored; the image is named.
+        InputError: the numbers of maps differ, no part of any image has a pixel, or a prediction cannot be scored; the image is named.
     """
     settings = Protocol(**protocol)
     if not hasattr(ground_truths, "__len__"):
@@ -167,7 +200,7 @@ def evaluate(
     count = len(predictions)
     if count != len(ground_truths):
         raise InputError(f"{name}: holds {count} predictions but there are {len(ground_truths)} ground truths; give one for each, in order")
-    rows, scored, skipped = [], [], []
+    rows, places, skipped = [], [], []
     for number, ground_truth in enumerate(ground_truths):
         try:
             pixels = valid_pixels(predictions[number], ground_truth, settings)
@@ -176,11 +209,16 @@ def evaluate(
         if pixels is None:
             skipped.append(number)
             continue
-        rows.append(errors(pixels.ground_truth, pixels.prediction) | {"scale_ratio": pixels.scale_ratio, "valid_pixels": len(pixels.index)})
-        scored.append(number)
+        for part, mask in parts(number, pixels).items():
+            if mask.any():
+                truth, depth, ratio = pixels.ground_truth[mask], pixels.prediction[mask], pixels.scale_ratio
+                if own_ratio:
+                    depth, ratio = scale_and_clamp(truth, pixels.unscaled[mask], settings)
+                rows.append(metrics(truth, depth) | {"scale_ratio": ratio, "valid_pixels": len(truth)})
+                places.append((number, part))
     if not rows:
-        raise InputError(f"{name}: none of the {count} ground truths has a valid pixel; check the crop and the depth limits")
-    frame = pd.DataFrame(rows, index=pd.Index(scored, name="image"))
+        raise InputError(f"{name}: none of the {count} ground truths has {required}")
+    frame = pd.DataFrame(rows, index=pd.MultiIndex.from_tuples(places, names=["image", "part"]))
     frame.attrs["skipped"] = skipped
     return frame
 

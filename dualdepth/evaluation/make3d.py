@@ -19,7 +19,7 @@ import pandas as pd
 
 from dualdepth.data.make3d import GRID_SHAPE
 from dualdepth.errors import InputError
-from dualdepth.evaluation.depth import Protocol, errors, valid_pixels
+from dualdepth.evaluation.depth import errors, evaluate
 
 Convention = Literal["band", "whole"]
 CONVENTIONS: tuple[Convention, ...] = get_args(Convention)
@@ -55,6 +55,14 @@ def on_grid(prediction: np.ndarray, convention: Convention) -> np.ndarray:
     return cells[ROWS] if convention == "whole" else cells
 
 
+def c1_errors(ground_truth: np.ndarray, prediction: np.ndarray) -> dict[str, float]:
+    """`METRICS` of paired depths (P,) in metres."""
+    digits = np.log10(ground_truth) - np.log10(prediction)
+    scores = errors(ground_truth, prediction)
+    scores |= {"log10_rms": float(np.sqrt((digits**2).mean())), "log10": float(np.abs(digits).mean())}
+    return {name: scores[name] for name in METRICS}
+
+
 def evaluate_make3d(
     predictions: Sequence[np.ndarray], grids: Sequence[np.ndarray], convention: Convention, *, median_scaling: bool = True
 ) -> pd.DataFrame:
@@ -67,35 +75,19 @@ def evaluate_make3d(
         median_scaling: multiply each prediction by median(ground truth) / median(prediction); else they are in metres already.
 
     Returns:
-        One row per photo, indexed by its place (`image`): `METRICS`, `scale_ratio`, `valid_pixels` (of 6405 cells). Photos without a valid
-        cell have no row; `attrs["skipped"]` lists them.
+        The frame of `evaluate` with these `METRICS`; `valid_pixels` are of 6405 cells.
 
     Raises:
         InputError: the numbers differ, a shape is wrong, a prediction is not finite and positive, or no photo has a valid cell.
     """
-    if len(predictions) != len(grids):
-        raise InputError(f"{len(predictions)} predictions but {len(grids)} laser grids; give one for each, in order")
-    protocol = Protocol(crop="none", min_depth=NEAREST, max_depth=FARTHEST, median_scaling=median_scaling)
-    rows, skipped = {}, []
     for number, (prediction, grid) in enumerate(zip(predictions, grids)):
         if grid.shape != GRID_SHAPE or prediction.ndim != 2 or not prediction.size:
             raise InputError(f"image {number}: shapes {prediction.shape} and {grid.shape}; expected (height, width) and {GRID_SHAPE}")
-        try:
-            pixels = valid_pixels(on_grid(prediction, convention), np.asarray(grid[ROWS], np.float64), protocol)
-        except InputError as error:
-            raise InputError(f"image {number}: {error}") from None
-        if pixels is None:
-            skipped.append(number)
-            continue
-        digits = np.log10(pixels.ground_truth) - np.log10(pixels.prediction)
-        scores = errors(pixels.ground_truth, pixels.prediction)
-        scores |= {"log10_rms": float(np.sqrt((digits**2).mean())), "log10": float(np.abs(digits).mean())}
-        rows[number] = {m: scores[m] for m in METRICS} | {"scale_ratio": pixels.scale_ratio, "valid_pixels": len(pixels.index)}
-    if not rows:
-        raise InputError(f"none of the {len(grids)} laser grids has a cell between 0 and {FARTHEST:g} m in rows 17:38")
-    frame = pd.DataFrame.from_dict(rows, orient="index").rename_axis("image")
-    frame.attrs["skipped"] = skipped
-    return frame
+    cells = [on_grid(prediction, convention) for prediction in predictions]
+    truths = [np.asarray(grid[ROWS], np.float64) for grid in grids]
+    required = f"a cell between 0 and {FARTHEST:g} m in rows 17:38"
+    protocol = {"crop": "none", "min_depth": NEAREST, "max_depth": FARTHEST, "median_scaling": median_scaling}
+    return evaluate(cells, truths, metrics=c1_errors, required=required, **protocol)
 
 
 def _known(convention: str) -> str:

@@ -32,8 +32,7 @@ def snippets(poses: np.ndarray, length: int, frames: np.ndarray | None = None) -
     """All overlapping windows of `length` poses: (S, L, 4, 4); none where there are fewer.
 
     Args:
-        poses: (N, 4, 4).
-        length: L, poses in a snippet.
+        poses, length: (N, 4, 4), of which L make a snippet.
         frames: (N,) increasing frame numbers; where given, only windows of consecutive ones are cut.
     """
     starts = np.arange(max(len(poses) - length + 1, 0))
@@ -48,8 +47,7 @@ def snippet_errors(truth: np.ndarray, prediction: np.ndarray) -> pd.DataFrame:
     Each snippet is moved to its first frame and scaled by s = Σ⟨gt, pred⟩ / Σ⟨pred, pred⟩; one that does not move keeps scale 1.
 
     Args:
-        truth: (S, L, 4, 4) of `snippets`.
-        prediction: (S, L, 4, 4) of the same frames.
+        truth, prediction: (S, L, 4, 4) of `snippets`, of the same frames.
 
     Returns:
         S rows in metres: `ate` = √(Σ‖s·pred − gt‖²) / L, which is no RMSE but what the field prints as mean and population standard
@@ -87,8 +85,7 @@ def aligned(prediction: np.ndarray, truth: np.ndarray, how: str = "7dof") -> np.
     """The prediction laid on `relative(truth)`, after both are moved to their first frame, as Zhan's kitti-odom-eval does.
 
     Args:
-        prediction: (N, 4, 4).
-        truth: (N, 4, 4), the same frames.
+        prediction, truth: (N, 4, 4), of the same frames.
         how: `none`; `scale`: the scale alone, by least squares; `6dof` and `7dof`: Umeyama's rigid and similarity transform of the
             positions, applied to the whole poses; `scale_7dof`: of the latter only the scale. The scale is 1 where nothing moves.
 
@@ -189,20 +186,14 @@ def mean_step(sequences: Iterable[np.ndarray]) -> np.ndarray:
     return np.concatenate([_between(poses[:-1], poses[1:])[:, :3, 3] for poses in sequences]).mean(0)
 
 
-def constant_velocity(frames: np.ndarray | int, step: np.ndarray) -> np.ndarray:
-    """Control: poses (N, 4, 4) that never turn and make the same `step` (3,) each frame.
-
-    Args:
-        frames: (N,) frame numbers, or N for 0 … N−1.
-        step: metres a frame, such as `mean_step` of the training sequences.
-    """
-    numbers = np.arange(frames) if np.ndim(frames) == 0 else np.asarray(frames)
-    poses = np.tile(np.eye(4), (len(numbers), 1, 1))
-    poses[:, :3, 3] = numbers[:, None] * np.asarray(step)
+def constant_velocity(frames: int, step: np.ndarray) -> np.ndarray:
+    """Control: poses (N, 4, 4) of N frames that never turn and make the same `step` (3,), in metres, such as `mean_step`, each frame."""
+    poses = np.tile(np.eye(4), (frames, 1, 1))
+    poses[:, :3, 3] = np.arange(frames)[:, None] * step
     return poses
 
 
-def straight_ahead(frames: np.ndarray | int) -> np.ndarray:
+def straight_ahead(frames: int) -> np.ndarray:
     """Control: `constant_velocity` of a metre a frame along the optical axis."""
     return constant_velocity(frames, np.array([0.0, 0.0, 1.0]))
 

@@ -1,80 +1,48 @@
-"""Depth metrics of regions that label maps name (paper, table "Evaluation of SA module in regions")."""
+"""Regions of an image that label maps name (paper, table "Evaluation of SA module in regions")."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from dualdepth.errors import InputError
-from dualdepth.evaluation.depth import Protocol, errors, valid_pixels
+from dualdepth.evaluation.depth import Parts, Pixels, errors
 
 REGIONS = {"Road": (0,), "Tree & grass": (8, 9)}
 """Cityscapes training ids of the paper's regions: with little texture, and with much (docs/protocols.md, "Regions of SA-Attention")."""
-LEAST = 1
-"""Valid pixels of a region that an image must have to count."""
+POLE = 5
+"""Cityscapes' training id of poles (docs/protocols.md, "Sharpness")."""
 
 
-def evaluate_regions(
-    predictions: Sequence[np.ndarray],
-    ground_truths: Sequence[np.ndarray],
-    label_maps: Sequence[np.ndarray],
-    *,
-    names: Sequence[str] | None = None,
-    least: int = LEAST,
-    **protocol: Any,
-) -> pd.DataFrame:
-    """The seven metrics of each region's pixels in each image.
-
-    The protocol is `evaluate`'s. An assumption, since the paper is silent: each image has one median ratio, of all its valid pixels.
+def in_regions(label_maps: Sequence[np.ndarray], names: Sequence[object]) -> Parts:
+    """Masks of `REGIONS`, for `evaluate_parts`.
 
     Args:
-        predictions: (h, w) each, positive.
-        ground_truths: (H, W) metres each, 0 where there is no measurement.
-        label_maps: (H, W) Cityscapes training ids each.
-        names: of the images, for messages; else their places.
-        least: images with fewer valid pixels of a region have no row for it.
-        **protocol: fields of `Protocol`.
-
-    Returns:
-        One row per image and region, indexed by (`image`, `region`): the metrics and `valid_pixels`.
-
-    Raises:
-        InputError: the numbers of maps differ, a label map is of another size than its ground truth or a prediction cannot be scored
-            (its place is named), `least` is not positive, or there is no row at all.
+        label_maps: (H, W) Cityscapes training ids, one for each image, in order.
+        names: of the label maps, for the error where one is of another size than its ground truth.
     """
-    settings, rows = Protocol(**protocol), {}
-    if least < 1:
-        raise InputError(f"least {least}: must be 1 or more, since a metric needs a pixel")
-    if not len(predictions) == len(ground_truths) == len(label_maps):
-        counts = f"{len(predictions)} predictions, {len(ground_truths)} ground truths and {len(label_maps)} label maps"
-        raise InputError(f"{counts}; give one of each, in order")
-    for number, ground_truth in enumerate(ground_truths):
+
+    def parts(number: int, pixels: Pixels) -> dict[str, np.ndarray]:
         labels = label_maps[number]
-        if labels.shape != ground_truth.shape:
-            sizes = f"the label map is of {_size(labels)} pixels, the ground truth of {_size(ground_truth)}"
-            raise InputError(
-                f"{names[number] if names else f'image {number}'}: {sizes}; make the label maps from the images of this ground truth"
-            )
-        try:
-            pixels = valid_pixels(predictions[number], ground_truth, settings)
-        except InputError as error:
-            raise InputError(f"image {number}: {error}") from None
-        if pixels is None:
-            continue
+        if labels.shape != pixels.shape:
+            of_labels, of_truth = ("x".join(map(str, shape)) for shape in (labels.shape, pixels.shape))
+            sizes = f"the label map is of {of_labels} pixels, the ground truth of {of_truth}"
+            raise InputError(f"{names[number]}: {sizes}; make the label maps from the images of this ground truth")
         ids = labels.ravel()[pixels.index]
-        for region, classes in REGIONS.items():
-            inside = np.isin(ids, classes)
-            if inside.sum() >= least:
-                values = errors(pixels.ground_truth[inside], pixels.prediction[inside])
-                rows[number, region] = values | {"valid_pixels": int(inside.sum())}
-    if not rows:
-        raise InputError(
-            f"none of the {len(ground_truths)} images has {least} valid pixel{'s' * (least > 1)} of {' or '.join(REGIONS)};"
-            " check the label maps, the crop and the depth limits"
-        )
-    return pd.DataFrame.from_dict(rows, orient="index").rename_axis(["image", "region"])
+        return {region: np.isin(ids, classes) for region, classes in REGIONS.items()}
+
+    return parts
 
 
-def _size(values: np.ndarray) -> str:
-    return "x".join(map(str, values.shape))
+def class_errors(
+    depth: np.ndarray, truth: np.ndarray, labels: np.ndarray, classes: Sequence[int], *, max_depth: float
+) -> dict[str, float] | None:
+    """The seven metrics over the pixels of some classes, with their number as `valid_pixels`; None where there are none.
+
+    Args:
+        depth, truth: (H, W) metres; depth is positive and scaled already, truth is 0 where there is none, and counts below `max_depth`.
+        labels, classes: (H, W) training ids, and those that count.
+    """
+    chosen = np.isin(labels, classes) & (truth > 0) & (truth < max_depth)
+    if not chosen.any():
+        return None
+    return errors(truth[chosen].astype(np.float64), depth[chosen].astype(np.float64)) | {"valid_pixels": int(chosen.sum())}

@@ -17,24 +17,15 @@ class Difference(NamedTuple):
 
 
 def paired_bootstrap(
-    a: Sequence[float] | np.ndarray,
-    b: Sequence[float] | np.ndarray,
-    *,
-    seed: int,
-    samples: int = 10000,
-    confidence: float = 0.95,
-    block: int = 1,
+    a: Sequence[float] | np.ndarray, b: Sequence[float] | np.ndarray, *, seed: int, samples: int = 10000, block: int = 1
 ) -> Difference:
-    """Percentile bootstrap of the mean difference of two methods over the same images.
+    """95 % percentile bootstrap of the mean difference of two methods over the same images.
 
     Images are drawn with replacement, both methods' values of an image together, so what makes an image hard cancels.
 
     Args:
-        a: (N,) per-image values of one method, such as the `abs_rel` column of `evaluate`.
-        b: (N,) values of the other method for the same images in the same order.
-        seed: of the draws; the same seed gives the same interval.
-        samples: bootstrap samples.
-        confidence: share of the samples inside the interval, in (0, 1).
+        a, b: (N,) per-image values of both methods, such as the `abs_rel` columns of `evaluate`, in the same order.
+        seed, samples: of the draws; the same seed gives the same interval.
         block: draw runs of so many neighbours, for values that depend on their neighbours' (circular block bootstrap, Politis and
             Romano 1992).
 
@@ -55,7 +46,7 @@ def paired_bootstrap(
     count = -(-a.size // block)
     drawn = np.random.default_rng(seed).multinomial(count, np.full(a.size, 1 / a.size), size=samples)
     means = drawn @ block_means / count
-    low, high = np.quantile(means, [(1 - confidence) / 2, (1 + confidence) / 2])
+    low, high = np.quantile(means, [(1 - 0.95) / 2, (1 + 0.95) / 2])
     return Difference(float(difference.mean()), float(low), float(high))
 
 
@@ -111,10 +102,8 @@ def compare(a: Sequence[Sequence[float]], b: Sequence[Sequence[float]], *, seed:
     """Compare per-image values of two methods that were trained with the same seeds.
 
     Args:
-        a: (S, N): of each seed, the images' values of one method.
-        b: (S, N): of the other, same seeds, same images.
-        seed: of the bootstrap's draws.
-        block: see `paired_bootstrap`.
+        a, b: (S, N): of each seed, the images' values of both methods; same seeds, same images.
+        seed, block: see `paired_bootstrap`.
 
     Raises:
         InputError: shapes that differ, or values that are not finite.

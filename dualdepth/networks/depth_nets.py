@@ -78,8 +78,7 @@ class DualNet(nn.Module):
     Args:
         lr_net: of stage 1; its parameters are frozen here.
         link: what HR-Net receives, see `Design`.
-        similarity: of SA-Attention.
-        normalise: of SA-Attention.
+        similarity, normalise: of SA-Attention.
         residual: beyond the paper, HR-Net's logits are added to LR-Net's, enlarged, so that it begins with LR-Net's depth.
     """
 

@@ -61,17 +61,12 @@ def backbone_table(run: Run, seeds: Sequence[int], repeats: int = 3) -> pd.DataF
         trained = training_row(run, variant, seeds)
         note = f"cost of a new network at the paper's size{imitated}; metrics of variant {variant}: {trained['note']}"
         rows.append({"backbone": name, **cost_row(name, repeats), **trained, "note": note})
-    pretrained = bool(run.profile.training.pretrained)
-    without = "no ImageNet weights in this profile: `training.pretrained` is false"
-    if pretrained:
-        rows += [
-            {"backbone": "w/ pt", **training_row(run, "dual", seeds)},
-            {"backbone": "w/o pt", **training_row(run, "dual_scratch", seeds)},
-        ]
+    if run.profile.training.pretrained:
+        begun, new = training_row(run, "dual", seeds), training_row(run, "dual_scratch", seeds)
     else:
-        rows.append({"backbone": "w/ pt", "variant": "dual", "source": "measured", "note": f"not run: {without}"})
-        rows.append({"backbone": "w/o pt", **training_row(run, "dual", seeds)})
-    return with_paper("backbone", rows)
+        note = "not run: no ImageNet weights in this profile: `training.pretrained` is false"
+        begun, new = {"variant": "dual", "source": "measured", "note": note}, training_row(run, "dual", seeds)
+    return with_paper("backbone", [*rows, {"backbone": "w/ pt", **begun}, {"backbone": "w/o pt", **new}])
 
 
 CLAIMS = {

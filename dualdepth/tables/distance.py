@@ -6,10 +6,11 @@ from typing import Any
 
 import pandas as pd
 
-from dualdepth.evaluation.distance import PARTS, evaluate_near_far
+from dualdepth.evaluation.depth import evaluate_parts
+from dualdepth.evaluation.distance import PARTS, near_and_far
 from dualdepth.run import Run
-from dualdepth.tables.rows import COMPARISON, compare_trainings, comparison_row, training_row, with_paper
-from dualdepth.tables.scoring import Predictions, protocol, truth
+from dualdepth.tables.rows import COMPARISON, compare_gains, compare_trainings, training_row, with_paper
+from dualdepth.tables.scoring import Predictions, truth
 
 ROWS = {"lr": "w/o HR-Net", "dual_no_sa": "w/ HR-Net, w/o SA", "dual": "w/ HR-Net"}
 RATIOS = {False: "one median ratio an image", True: "a median ratio for each part"}
@@ -19,13 +20,14 @@ RATIOS = {False: "one median ratio an image", True: "a median ratio for each par
 def near_far(run: Run, variant: str, seed: int, own_ratio: bool = False) -> pd.DataFrame:
     """Per-image metrics of a training's near and far pixels; kept while the run is open, since several rows ask for them."""
     disparities = Predictions(run, variant, seed).disparities
-    return evaluate_near_far(disparities, truth(run), own_ratio=own_ratio, kind="disparity", **protocol(run.profile.evaluation))
+    settings = run.profile.evaluation.model_dump()
+    return evaluate_parts(disparities, truth(run), near_and_far, own_ratio=own_ratio, kind="disparity", **settings)
 
 
 def score_part(run: Run, variant: str, seed: int, *, part: str, own_ratio: bool = False) -> pd.DataFrame:
     """Per-image metrics of one part; images without such pixels have no row."""
     frame = near_far(run, variant, seed, own_ratio)
-    return frame[frame.index.get_level_values("distance") == part].droplevel("distance")
+    return frame[frame.index.get_level_values("part") == part].droplevel("part")
 
 
 def distance_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
@@ -45,25 +47,15 @@ def distance_claims(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
     for part in PARTS:
         table = compare_trainings(run, [("dual", "lr"), ("dual_no_sa", "lr")], seeds, scores=partial(score_part, part=part))
         tables.append(table.assign(distance=part))
-    gains = [gain_row(run, variant, seeds, relative) for variant in ("dual", "dual_no_sa") for relative in (False, True)]
-    tables.append(pd.DataFrame(filter(None, gains), columns=COMPARISON).assign(distance="far against near"))
+    trained = [variant for variant in ("dual", "dual_no_sa") if {variant, "lr"} <= set(run.profile.train) and run.profile.data.has_truth]
+    gains = [far_gain(run, variant, seeds, relative) for variant in trained for relative in (False, True)]
+    tables.append(pd.DataFrame(gains, columns=COMPARISON).assign(distance="far against near"))
     table = pd.concat([t for t in tables if len(t)], ignore_index=True)
     return table[["distance", *COMPARISON]]
 
 
-def gain_row(run: Run, variant: str, seeds: Sequence[int], relative: bool) -> dict[str, Any] | None:
-    """Is the far part's gain in Abs Rel over LR-Net larger than the near part's, in the images that have both?
-
-    Relative gains are in units of LR-Net's mean error in the part. None where one of the two is not trained, or nothing is scored.
-    """
-    if not {variant, "lr"} <= set(run.profile.train) or not run.profile.data.has_truth:
-        return None
-    gains = []
-    for part in reversed(PARTS):
-        both = [[score_part(run, v, seed, part=part)["abs_rel"] for seed in seeds] for v in ("lr", variant)]
-        gains.append([(before - after) / (before.mean() if relative else 1.0) for before, after in zip(*both)])
-    shared = gains[0][0].index.intersection(gains[1][0].index)
-    far, near = ([gain.loc[shared].to_numpy() for gain in part] for part in gains)
-    name = "relative gain" if relative else "gain"
-    row = {"a": f"{name} of {variant}, {PARTS[1]}", "b": f"{name}, {PARTS[0]}", "metric": "abs_rel"}
-    return row | comparison_row(far, near, lower_is_better=False)
+def far_gain(run: Run, variant: str, seeds: Sequence[int], relative: bool) -> dict[str, Any]:
+    """Is the far part's gain in Abs Rel over LR-Net larger than the near part's?"""
+    (near, far), name = PARTS, "relative gain" if relative else "gain"
+    compared = compare_gains(run, (variant, "lr"), (far, near), seeds, scores=score_part, relative=relative)
+    return {"a": f"{name} of {variant}, {far}", "b": f"{name}, {near}"} | compared

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dualdepth.evaluation.distance import FAR
-from dualdepth.evaluation.objects import POLE
+from dualdepth.evaluation.regions import POLE
 from dualdepth.plots import Picture, show_depth, show_error, show_image
 
 

@@ -9,11 +9,7 @@ from dualdepth.run import Run
 from dualdepth.tables.rows import NO_TRUTH, mean_row, seed_label, training_row, with_paper
 from dualdepth.tables.scoring import score_baselines, score_training, score_untrained, scored_note
 
-BASELINE_ROWS = {
-    "mean_map": "Train set mean",
-    "row_mean": "Per-row mean",
-    "constant": "Constant depth",
-}
+BASELINE_ROWS = {"mean_map": "Train set mean", "row_mean": "Per-row mean", "constant": "Constant depth"}
 
 
 def main_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
@@ -30,16 +26,10 @@ def main_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
     fit = "; ".join(filter(None, [fit, scored_note(run)]))
     scores = score_baselines(run)
     missing = "not run: no training-side laser frames, and the scored frames are of one drive" if run.profile.data.has_truth else NO_TRUTH
-    rows = [
-        {
-            "method": method,
-            **common,
-            "supervision": "Depth",
-            **(mean_row([scores[name]]) if scores else {}),
-            "note": fit if scores else missing,
-        }
-        for name, method in BASELINE_ROWS.items()
-    ]
+    rows = []
+    for name, method in BASELINE_ROWS.items():
+        row = {"method": method, **common, "supervision": "Depth", **(mean_row([scores[name]]) if scores else {})}
+        rows.append(row | {"note": fit if scores else missing})
     untrained = {"method": "LR-Net, untrained", "supervision": "-", "note": NO_TRUTH}
     if run.profile.data.has_truth:
         note = "; ".join(filter(None, ["before its first step", scored_note(run)]))
@@ -64,17 +54,8 @@ def compare_with_baselines(run: Run, variant: str, seeds: Sequence[int]) -> pd.D
             ours = sum(frame[metric] for frame in trained) / len(trained)
             mean, spread = mean_std([frame[metric].mean() for frame in trained])
             difference = paired_bootstrap(ours, scores[metric], seed=0)
-            rows.append(
-                {
-                    "variant": variant,
-                    "baseline": BASELINE_ROWS[name],
-                    "metric": metric,
-                    "of_baseline": scores[metric].mean(),
-                    "of_variant": mean,
-                    "spread_over_seeds": spread,
-                    **difference._asdict(),
-                    "clear_of_zero": difference.low > 0 or difference.high < 0,
-                }
-            )
+            row = {"variant": variant, "baseline": BASELINE_ROWS[name], "metric": metric, "of_baseline": scores[metric].mean()}
+            row |= {"of_variant": mean, "spread_over_seeds": spread, **difference._asdict()}
+            rows.append(row | {"clear_of_zero": difference.low > 0 or difference.high < 0})
     columns = ["variant", "baseline", "metric", "of_baseline", "of_variant", "spread_over_seeds", *Difference._fields, "clear_of_zero"]
     return pd.DataFrame(rows, columns=columns)

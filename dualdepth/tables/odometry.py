@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from dualdepth.data.odometry import drives_of, poses_path, sequence_of
+from dualdepth.data.odometry import poses_path, read_trajectory, sequence_of
 from dualdepth.evaluation.leaks import check_leak
-from dualdepth.evaluation.odometry import ALIGNMENTS, yaw_and_step
+from dualdepth.evaluation.odometry import ALIGNMENTS, aligned, relative, yaw_and_step
 from dualdepth.evaluation.statistics import mean_std
 from dualdepth.run import Run, Sources
 from dualdepth.tables.odometry_scoring import (
@@ -22,6 +22,7 @@ from dualdepth.tables.odometry_scoring import (
     predicted_motions,
     score_control,
     score_sequence,
+    scored_drives,
     true_trajectory,
 )
 from dualdepth.tables.rows import COMPARISON, comparison_row, seed_label, training_note, with_paper
@@ -108,23 +109,13 @@ def _row(run: Run, name: str, seeds: Sequence[int], length: int) -> dict[str, An
         row[f"n_{suffix}"] = len(scores[0].snippets[length])
     row["n"] = sum(row[f"n_{sequence_of(entry)[0]}"] for entry in sequences(run))
     if name in CONTROLS:
-        return row | {"seeds": "", "note": _control_note(run, name)}
+        mean = f"the mean step of sequences {' '.join(known_sequences(run))}, never turning"
+        meant = {"constant": mean, "straight": "a metre a frame along the optical axis", "inverted": "a mistake that snippets hardly see"}
+        return row | {"seeds": "", "note": f"control: {meant[name]}"}
     cut = "each from one output of PoseNet" if length == 3 else "cut from the trajectory"
     train = "" if run.profile.world else f", sequences {' '.join(run.profile.odometry_sequences()[0])}"
-    note = f"{training_note(run, name, seeds[0], drives=_drives(run))}{train}; snippets of {length} frames, {cut}"
+    note = f"{training_note(run, name, seeds[0], drives=scored_drives(run, sequences(run)))}{train}; snippets of {length} frames, {cut}"
     return row | {"variant": name, "seeds": seed_label(seeds), "note": note}
-
-
-def _drives(run: Run) -> list[str]:
-    return drives_of(sequences(run), world=run.profile.world is not None)
-
-
-def _control_note(run: Run, name: str) -> str:
-    return {
-        "constant": f"control: the mean step of sequences {' '.join(known_sequences(run))}, never turning",
-        "straight": "control: a metre a frame along the optical axis",
-        "inverted": "control: a mistake that snippets hardly see",
-    }[name]
 
 
 def trajectory_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
@@ -135,7 +126,7 @@ def trajectory_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
             rows.append({"method": method, "source": "measured", "note": _why_not(run, name)})
             continue
         trained = name not in CONTROLS
-        leak = check_leak(load_card(run.weights(name, seeds[0])), _drives(run), allow=True) if trained else ""
+        leak = check_leak(load_card(run.weights(name, seeds[0])), scored_drives(run, sequences(run)), allow=True) if trained else ""
         for entry in sequences(run):
             scores = _of_seeds(run, name, seeds, entry)
             for how in ALIGNMENTS:
@@ -224,9 +215,6 @@ def _t_err_row(a: Sequence[SequenceScores], b: Sequence[SequenceScores]) -> dict
 
 def paths(run: Run, seed: int, entry: str) -> dict[str, np.ndarray]:
     """Positions (N, 3) in metres for a plot, laid on the truth with 7dof: the truth and ours."""
-    from dualdepth.data.odometry import read_trajectory
-    from dualdepth.evaluation.odometry import aligned, relative
-
     truth = true_trajectory(run, entry).poses
     shown = {"Ground truth": relative(truth)[:, :3, 3]}
     for name in scored_variants(run):

@@ -23,11 +23,7 @@ from dualdepth.training.weights import load_card
 
 LENGTHS = (3, 5)
 """Frames of a snippet: 3 as the paper, 5 as Zhou et al."""
-CONTROLS = {
-    "constant": "Constant velocity",
-    "straight": "Straight ahead",
-    "inverted": "Ground truth, every pose inverted",
-}
+CONTROLS = {"constant": "Constant velocity", "straight": "Straight ahead", "inverted": "Ground truth, every pose inverted"}
 """What needs no learning, or is plainly wrong."""
 
 

@@ -14,8 +14,8 @@ from dualdepth.run import Run
 from dualdepth.tables.scoring import score_training, scored_drives, scored_note
 from dualdepth.training.weights import load_card
 
-Scores = Callable[[Run, str, int], pd.DataFrame]
-"""Per-image values of a variant's training with a seed, such as `score_training`."""
+Scores = Callable[..., pd.DataFrame]
+"""Of (run, variant, seed): per-image values of a training, such as `score_training`."""
 
 
 def mean_row(frames: Sequence[pd.DataFrame], columns: Sequence[str] = METRICS) -> dict[str, Any]:
@@ -89,13 +89,7 @@ def compare_trainings(
 ) -> pd.DataFrame:
     """Paired differences between variants, image by image and seed by seed.
 
-    Args:
-        run: of the profile.
-        pairs: (a, b), of which a is the one that the paper says is better.
-        seeds: trained of both.
-        metrics: columns of the scores.
-        scores: gives them.
-        own_truth: they are of another benchmark, which brings its ground truth.
+    Of each pair (a, b), a is the one that the paper says is better; for `own_truth` see `training_row`.
 
     Returns:
         Rows per pair and metric: both means, the difference a − b, its 95 % interval over images, its spread over seeds, and in words
@@ -115,6 +109,22 @@ def compare_trainings(
             values = [[frame.loc[shared, metric].to_numpy() for frame in method] for method in frames]
             rows.append({"a": a, "b": b, "metric": metric} | comparison_row(*values, lower_is_better=metric in LOWER_IS_BETTER))
     return pd.DataFrame(rows, columns=COMPARISON)
+
+
+def compare_gains(
+    run: Run, pair: tuple[str, str], parts: Sequence[str], seeds: Sequence[int], *, scores: Scores, relative: bool = False
+) -> dict[str, Any]:
+    """Is the gain in Abs Rel of a over b, of `pair` = (a, b), larger in the first part than in the second, in the images that have both?
+
+    `scores` takes `part`. Relative gains are in units of b's mean error in the part.
+    """
+    gains = []
+    for part in parts:
+        after, before = ([scores(run, variant, seed, part=part)["abs_rel"] for seed in seeds] for variant in pair)
+        gains.append([(b - a) / (b.mean() if relative else 1.0) for a, b in zip(after, before)])
+    shared = gains[0][0].index.intersection(gains[1][0].index)
+    first, second = ([gain.loc[shared].to_numpy() for gain in part] for part in gains)
+    return {"metric": "abs_rel"} | comparison_row(first, second, lower_is_better=False)
 
 
 def _why_not(run: Run, a: str, b: str, seeds: Sequence[int]) -> str:

@@ -5,18 +5,17 @@ import json
 from collections.abc import Sequence
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
 from dualdepth.data.label_maps import LabelMaps, label_path
 from dualdepth.errors import InputError
-from dualdepth.evaluation.depth import METRICS
-from dualdepth.evaluation.regions import LEAST, REGIONS, evaluate_regions
+from dualdepth.evaluation.depth import METRICS, evaluate_parts
+from dualdepth.evaluation.regions import REGIONS, in_regions
 from dualdepth.files import file_digest
 from dualdepth.run import Run, Sources
-from dualdepth.tables.rows import COMPARISON, compare_trainings, comparison_row, seed_label, training_row, with_paper
-from dualdepth.tables.scoring import Predictions, protocol, scored_frames, truth
+from dualdepth.tables.rows import COMPARISON, compare_gains, compare_trainings, seed_label, training_row, with_paper
+from dualdepth.tables.scoring import Predictions, scored_frames, truth
 
 ROWS = {"dual_no_sa": "w/o SA", "dual": "w/ SA"}
 COLUMNS = ["region", "method", *(f"{m}{end}" for m in METRICS for end in ("", "_std")), "n", "seeds", "source", "variant", "note"]
@@ -54,20 +53,21 @@ def labels_digest(run: Run) -> str | None:
 
 
 @lru_cache(maxsize=64)
-def regions(run: Run, variant: str, seed: int) -> pd.DataFrame:
+def score_regions(run: Run, variant: str, seed: int) -> pd.DataFrame:
     """Per-image metrics of a training's regions; kept while the run is open, since several rows ask for them."""
-    root, frames = Sources.load(run).labels_root, scored_frames(run)
-    names = [str(label_path(root, frame)) for frame in frames]
-    disparities = Predictions(run, variant, seed).disparities
-    return evaluate_regions(
-        disparities, truth(run), LabelMaps(root, frames), names=names, kind="disparity", **protocol(run.profile.evaluation)
-    )
+    label_maps, maps = LabelMaps(Sources.load(run).labels_root, scored_frames(run)), truth(run)
+    if len(label_maps) != len(maps):
+        raise InputError(f"{run.prepared}: {len(maps)} ground truths but {len(label_maps)} label maps; run notebook 02_prepare_data again")
+    disparities, parts = Predictions(run, variant, seed).disparities, in_regions(label_maps, label_maps.paths)
+    required = f"a valid pixel of {' or '.join(REGIONS)}; check the label maps, the crop and the depth limits"
+    settings = run.profile.evaluation.model_dump()
+    return evaluate_parts(disparities, maps, parts, required=required, kind="disparity", **settings)
 
 
-def score_region(run: Run, variant: str, seed: int, *, region: str) -> pd.DataFrame:
-    """Per-image metrics of one region; images that have too little of it have no row."""
-    frame = regions(run, variant, seed)
-    return frame[frame.index.get_level_values("region") == region].droplevel("region")
+def score_region(run: Run, variant: str, seed: int, *, part: str) -> pd.DataFrame:
+    """Per-image metrics of one region; images that have none of it have no row."""
+    frame = score_regions(run, variant, seed)
+    return frame[frame.index.get_level_values("part") == part].droplevel("part")
 
 
 def sa_region_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
@@ -78,7 +78,7 @@ def sa_region_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
             if made_by == NO_LABELS:
                 row = {"variant": variant, "source": "measured", "note": NO_LABELS}
             else:
-                row = training_row(run, variant, seeds, scores=partial(score_region, region=region))
+                row = training_row(run, variant, seeds, scores=partial(score_region, part=region))
                 if "n" in row and run.profile.data.has_truth:
                     row["note"] = ", ".join(filter(None, [row["note"], made_by, counted(row["n"], len(scored_frames(run)))]))
             rows.append({"region": region, "method": method, **row})
@@ -87,7 +87,7 @@ def sa_region_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
 
 def counted(n: int, images: int) -> str:
     """How many images have the region; nothing where all have it."""
-    return "" if n == images else f"{n} of {images} images; the others have fewer than {LEAST} valid pixel{'s' * (LEAST > 1)} of the region"
+    return "" if n == images else f"{n} of {images} images; the others have fewer than 1 valid pixel of the region"
 
 
 def sa_region_claims(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
@@ -103,20 +103,10 @@ def sa_region_claims(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
     tables = []
     for chosen in [seeds, *([seed] for seed in seeds if len(seeds) > 1)]:
         for region in REGIONS:
-            table = compare_trainings(run, [("dual", "dual_no_sa")], chosen, scores=partial(score_region, region=region))
+            table = compare_trainings(run, [("dual", "dual_no_sa")], chosen, scores=partial(score_region, part=region))
             tables.append(table.assign(region=region, seed=seed_label(chosen)))
         if (tables[-1]["metric"] != "").all():
-            tables.append(pd.DataFrame([gain_row(run, chosen)]).assign(region=" against ".join(REGIONS), seed=seed_label(chosen)))
+            gains = compare_gains(run, ("dual", "dual_no_sa"), list(REGIONS), chosen, scores=score_region)
+            row = dict(zip("ab", (f"gain of dual, {region}" for region in REGIONS))) | gains
+            tables.append(pd.DataFrame([row]).assign(region=" against ".join(REGIONS), seed=seed_label(chosen)))
     return pd.concat(tables, ignore_index=True)[["region", "seed", *COMPARISON]]
-
-
-def gain_row(run: Run, seeds: Sequence[int]) -> dict[str, Any]:
-    """Is SA's gain in Abs Rel larger on road than on tree and grass, in the images that have both?"""
-    gains = []
-    for region in REGIONS:
-        both = [[score_region(run, v, seed, region=region)["abs_rel"] for seed in seeds] for v in ROWS]
-        gains.append([without - attended for without, attended in zip(*both)])
-    shared = gains[0][0].index.intersection(gains[1][0].index)
-    road, green = ([gain.loc[shared].to_numpy() for gain in region] for region in gains)
-    names = dict(zip("ab", (f"gain of dual, {region}" for region in REGIONS)))
-    return names | {"metric": "abs_rel"} | comparison_row(road, green, lower_is_better=False)

@@ -16,13 +16,12 @@ from dualdepth.data.label_maps import label_path, read_label_map
 from dualdepth.device import default_device
 from dualdepth.errors import InputError, first_mistake
 from dualdepth.evaluation import baselines
-from dualdepth.evaluation.depth import METRICS, evaluate, resize_bilinear, summary
+from dualdepth.evaluation.depth import METRICS, evaluate, resize_bilinear
 from dualdepth.evaluation.leaks import check_leak
 from dualdepth.files import atomic_path, file_digest, write_json, write_text
 from dualdepth.inference.predict import DepthNet, load_depth_net, predict_disparities
 from dualdepth.networks.architecture import Architecture
 from dualdepth.run import Run, Sources
-from dualdepth.settings import Evaluation
 from dualdepth.staleness import code_digest
 from dualdepth.training.weights import load_card
 
@@ -103,7 +102,8 @@ def score_training(run: Run, variant: str, seed: int) -> pd.DataFrame:
     )
     check_leak(load_card(weights), scored_drives(run), allow=Sources.load(run).allow_leak, weights=weights)
     folder = run.training(variant, seed)
-    made_from = _made_from(run, weights)
+    made_from = {"weights": file_digest(weights), "truth": file_digest(run.prepared / "ground_truth.npz")}
+    made_from |= {"evaluation": run.profile.digest("evaluation"), "code": code_digest("predict")}
     if is_current(folder / "per_image.json", made_from):
         return pd.read_csv(folder / "per_image.csv", index_col="image")
     disparities = predict_disparities(load_depth_net(weights), image_paths(run), device=default_device())
@@ -111,7 +111,7 @@ def score_training(run: Run, variant: str, seed: int) -> pd.DataFrame:
         np.save(partial, disparities)
     if run.profile.data.has_truth:
         scores = evaluate(
-            disparities, truth(run), name=str(folder / "disparities.npy"), kind="disparity", **protocol(run.profile.evaluation)
+            disparities, truth(run), name=str(folder / "disparities.npy"), kind="disparity", **run.profile.evaluation.model_dump()
         )
     else:
         scores = unscored(disparities)
@@ -167,7 +167,7 @@ def untrained_net(run: Run, seed: int) -> DepthNet:
 def score_untrained(run: Run, seed: int) -> pd.DataFrame:
     """Score LR-Net of the same seed before its first step: what the architecture alone gives."""
     disparities = predict_disparities(untrained_net(run, seed), image_paths(run), device=default_device())
-    return evaluate(disparities, truth(run), name="untrained", kind="disparity", **protocol(run.profile.evaluation))
+    return evaluate(disparities, truth(run), name="untrained", kind="disparity", **run.profile.evaluation.model_dump())
 
 
 def score_baselines(run: Run) -> dict[str, pd.DataFrame]:
@@ -190,27 +190,8 @@ def score_baselines(run: Run) -> dict[str, pd.DataFrame]:
         else:
             drives = [frame.drive for frame in scored_frames(run)]
             predictions = baselines.leave_one_drive_out(list(maps), drives, name, grid=baselines.GRID, max_depth=limit)
-        scores[name] = evaluate(predictions, maps, name=name, kind="depth", **protocol(run.profile.evaluation))
+        scores[name] = evaluate(predictions, maps, name=name, kind="depth", **run.profile.evaluation.model_dump())
     return scores
-
-
-def protocol(settings: Evaluation) -> dict[str, Any]:
-    """The profile's evaluation settings as arguments of `evaluate`."""
-    return settings.model_dump()
-
-
-def means(scores: pd.DataFrame) -> dict[str, Any]:
-    """Mean metrics and number of images of per-image scores, for a table's row."""
-    return {k: v for k, v in summary(scores).items() if k in {*scores.columns, "n"}}
-
-
-def _made_from(run: Run, weights: Path) -> dict[str, Any]:
-    return {
-        "weights": file_digest(weights),
-        "truth": file_digest(run.prepared / "ground_truth.npz"),
-        "evaluation": run.profile.digest("evaluation"),
-        "code": code_digest("predict"),
-    }
 
 
 def is_current(path: Path, made_from: dict[str, Any]) -> bool:

@@ -10,7 +10,7 @@ import pandas as pd
 
 from dualdepth import paper
 from dualdepth.evaluation.depth import METRICS, resize_bilinear
-from dualdepth.evaluation.objects import POLE, class_errors
+from dualdepth.evaluation.regions import POLE, class_errors
 from dualdepth.evaluation.sharpness import boundary_scores, tenengrad
 from dualdepth.evaluation.statistics import mean_std
 from dualdepth.run import Run

@@ -40,10 +40,8 @@ def judge_number(paper: float, ours: float, *, spread: float, seeds: int, digit:
     """Whether a number of the paper is reproduced (`RULES`).
 
     Args:
-        paper: the paper's.
-        ours: mean over seeds.
-        spread: standard deviation over seeds; NaN for one.
-        seeds: how many.
+        paper, ours: the paper's, and our mean over seeds.
+        spread, seeds: our standard deviation over seeds, NaN for one, and how many there are.
         digit: the last digit that the paper prints, such as 0.001.
         lower_is_better: None where neither is, as for a parameter count.
     """
@@ -64,10 +62,8 @@ def judge_claim(difference: float, low: float, high: float, *, spread: float, se
 
     Args:
         difference: mean of the method that is claimed to be better minus the other.
-        low: lower end of its 95 % interval over images.
-        high: upper end.
-        spread: its standard deviation over seeds; NaN for one.
-        seeds: how many.
+        low, high: ends of its 95 % interval over images.
+        spread, seeds: its standard deviation over seeds, NaN for one, and how many there are.
         lower_is_better: of the metric.
     """
     if np.isnan(difference):
@@ -139,8 +135,7 @@ CLAIMS = (
 def judge_claims(tables: dict[str, pd.DataFrame]) -> pd.DataFrame:
     """Every claim: both means, the difference, its interval over images, its spread over seeds, the verdict.
 
-    Args:
-        tables: of comparisons, by file name; one that is missing leaves its claims not run.
+    `tables` are of comparisons, by file name; one that is missing leaves its claims not run.
     """
     rows = []
     for claim in CLAIMS:
@@ -229,12 +224,8 @@ COUNTS = ("params_m", "gmacs", "ratio")
 
 
 def compare_numbers(tables: dict[str, pd.DataFrame], judged: bool) -> pd.DataFrame:
-    """Every number of the paper's own rows beside ours: difference, spread over seeds, 95 % interval over seeds, verdict.
-
-    Args:
-        tables: by name.
-        judged: whether verdicts are given.
-    """
+    """Every number of the paper's own rows beside ours, from tables by name: difference, spread and 95 % interval over seeds, and, where
+    they are `judged`, verdicts."""
     rows = []
     for pair in PAIRS:
         table = tables.get(pair.table)

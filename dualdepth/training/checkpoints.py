@@ -40,10 +40,8 @@ def save_checkpoint(
     """Write what a resume needs, atomically: written, flushed, read back, renamed. Then all but the newest `keep` are removed.
 
     Args:
-        folder: of the training.
-        step: steps done.
-        model: that is trained.
-        optimizer: of it.
+        folder, step: of the training, and its steps done.
+        model, optimizer: what is trained, and by what.
         recipe: digest of all that shapes the result.
         parts: that each batch was cut into, by accumulation and processes together.
         precision: in which the networks compute.

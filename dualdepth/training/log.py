@@ -42,10 +42,8 @@ class TrainingLog:
         """Picture of the batch's first sample: target, warped source, depth, error.
 
         Args:
-            step: steps done.
-            target: (3, H, W) in [0, 1].
-            losses: of the batch.
-            disparity: (1, H, W).
+            step, losses: steps done, and the batch's losses.
+            target, disparity: (3, H, W) in [0, 1], and (1, H, W).
         """
         from dualdepth import plots
 

@@ -52,10 +52,8 @@ class Trainer:
     checkpoint stays.
 
     Args:
-        make_model: builds the stage.
-        stage: epochs, batch, learning rates.
-        profile: the rest of the settings.
-        triplets: what is trained on.
+        make_model, triplets: what builds the stage, and what it is trained on.
+        stage, profile: epochs, batch, learning rates, and the rest of the settings.
         folder: of this run; holds `checkpoint_*.pt`, `log.csv`, `panels/`, `tensorboard/`, `model.safetensors`, `model.json`.
         seed: of initialisation, order and augmentation.
         recipe: digest of all that shapes the result; a checkpoint of another recipe is not resumed.

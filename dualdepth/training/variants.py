@@ -91,8 +91,7 @@ def make_stage(profile: Profile, name: str, start: Path | None = None) -> Stage:
     """The stage that a variant trains, with stage 1's LR-Net and PoseNet in it where it starts from them.
 
     Args:
-        profile: that has the variant.
-        name: of the variant.
+        profile, name: the profile, and its variant.
         start: weights of stage 1.
 
     Raises:

@@ -6,8 +6,8 @@ import pytest
 from slow_metrics import slow_metrics
 
 from dualdepth.errors import InputError
-from dualdepth.evaluation.depth import METRICS, evaluate
-from dualdepth.evaluation.distance import evaluate_near_far
+from dualdepth.evaluation.depth import METRICS, evaluate, evaluate_parts
+from dualdepth.evaluation.distance import near_and_far
 
 NEAR, FAR = "<= 20 m", "> 20 m"
 
@@ -40,9 +40,9 @@ def sample(seed, size=(23, 31)):
 def test_both_parts_equal_the_slow_reference(kind, own_ratio):
     pairs = [sample(seed) for seed in range(3)]
     settings = {"min_depth": 2.0, "max_depth": 60.0}
-    frame = evaluate_near_far([p for p, _ in pairs], [g for _, g in pairs], own_ratio=own_ratio, kind=kind, crop="none", **settings)
+    frame = evaluate_parts(*zip(*pairs), near_and_far, own_ratio=own_ratio, kind=kind, crop="none", **settings)
     assert list(frame.index) == [(image, part) for image in range(3) for part in (NEAR, FAR)]
-    assert frame.index.names == ["image", "distance"]
+    assert frame.index.names == ["image", "part"]
     for image, (prediction, truth) in enumerate(pairs):
         for part, expected in slow_parts(prediction, truth, kind, own_ratio, **settings).items():
             for name, value in expected.items():
@@ -52,14 +52,14 @@ def test_both_parts_equal_the_slow_reference(kind, own_ratio):
 def test_exactly_20_m_is_near_and_the_next_number_is_far():
     above = np.nextafter(np.float32(20), np.float32(21))
     truth = np.array([[10, 20, 20, above]], np.float32)
-    frame = evaluate_near_far([truth], [truth], crop="none")
+    frame = evaluate_parts([truth], [truth], near_and_far, crop="none")
     assert frame["valid_pixels"].to_dict() == {(0, NEAR): 3, (0, FAR): 1}
 
 
 def test_the_truth_says_which_part_a_pixel_belongs_to():
     truth = np.array([[10.0, 10, 10, 19, 30]])
     prediction = np.array([[10.0, 10, 10, 38, 15]])
-    frame = evaluate_near_far([prediction], [truth], crop="none")
+    frame = evaluate_parts([prediction], [truth], near_and_far, crop="none")
     assert frame["valid_pixels"].tolist() == [4, 1]
     assert frame["abs_rel"].tolist() == pytest.approx([1 / 4, 0.5])
 
@@ -67,24 +67,25 @@ def test_the_truth_says_which_part_a_pixel_belongs_to():
 def test_an_image_has_one_ratio_unless_each_part_is_given_its_own():
     truth = np.array([[10.0, 10, 10, 40, 40]])
     prediction = np.array([[1.0, 1, 1, 2, 2]])  # times ten the near part is exact, the far part half of what it should be
-    one = evaluate_near_far([prediction], [truth], crop="none")
+    one = evaluate_parts([prediction], [truth], near_and_far, crop="none")
     assert one["abs_rel"].to_dict() == pytest.approx({(0, NEAR): 0, (0, FAR): 0.5})
-    own = evaluate_near_far([prediction], [truth], crop="none", own_ratio=True)
+    own = evaluate_parts([prediction], [truth], near_and_far, crop="none", own_ratio=True)
     assert own["abs_rel"].tolist() == pytest.approx([0, 0])
 
 
 def test_a_parts_own_ratio_is_of_what_was_predicted_before_any_clamp():
     truth = np.array([[10.0] * 5 + [30, 40, 50]])
     prediction = np.array([[1.0] * 5 + [30, 40, 50]])  # at the image's ratio of ten the far part would be 80 throughout
-    own = evaluate_near_far([prediction], [truth], crop="none", own_ratio=True)
+    own = evaluate_parts([prediction], [truth], near_and_far, crop="none", own_ratio=True)
     np.testing.assert_allclose(own["abs_rel"], 0, atol=1e-12)
-    assert evaluate_near_far([prediction], [truth], crop="none").loc[(0, FAR), "abs_rel"] == pytest.approx((50 / 30 + 1 + 30 / 50) / 3)
+    one = evaluate_parts([prediction], [truth], near_and_far, crop="none")
+    assert one.loc[(0, FAR), "abs_rel"] == pytest.approx((50 / 30 + 1 + 30 / 50) / 3)
 
 
 def test_a_part_is_clamped_after_its_own_scaling():
     truth = np.array([[10.0] * 5 + [30, 40, 50]])
     prediction = np.array([[1.0] * 4 + [1e-6] + [3, 4, 5000]])
-    own = evaluate_near_far([prediction], [truth], crop="none", own_ratio=True, min_depth=5)
+    own = evaluate_parts([prediction], [truth], near_and_far, crop="none", own_ratio=True, min_depth=5)
     assert own.loc[(0, FAR), "abs_rel"] == pytest.approx(30 / 50 / 3)
     assert own.loc[(0, NEAR), "abs_rel"] == pytest.approx(5 / 10 / 5)
 
@@ -92,13 +93,13 @@ def test_a_part_is_clamped_after_its_own_scaling():
 @pytest.mark.parametrize("own_ratio", [False, True])
 def test_a_perfect_prediction_scores_zeros_and_ones_in_both_parts(own_ratio):
     truth = np.random.default_rng(0).uniform(1, 79, (40, 60))
-    frame = evaluate_near_far([truth], [truth], own_ratio=own_ratio)
+    frame = evaluate_parts([truth], [truth], near_and_far, own_ratio=own_ratio)
     np.testing.assert_allclose(frame[list(METRICS)], [[0, 0, 0, 0, 1, 1, 1]] * 2, atol=1e-12)
 
 
 def test_only_the_parts_that_an_image_has_get_a_row():
     near, none, far = np.full((20, 30), 8.0), np.zeros((20, 30)), np.full((20, 30), 33.0)
-    frame = evaluate_near_far([np.ones((4, 6))] * 4, [near, none, far, np.hstack([near, far])])
+    frame = evaluate_parts([np.ones((4, 6))] * 4, [near, none, far, np.hstack([near, far])], near_and_far)
     assert list(frame.index) == [(0, NEAR), (2, FAR), (3, NEAR), (3, FAR)]
 
 
@@ -106,7 +107,7 @@ def test_the_parts_together_are_the_pixels_of_the_protocol():
     pairs = [sample(seed, (40, 60)) for seed in range(2)]
     predictions, truths = [p for p, _ in pairs], [g for _, g in pairs]
     whole = evaluate(predictions, truths, kind="disparity", crop="garg", max_depth=50)
-    parts = evaluate_near_far(predictions, truths, kind="disparity", crop="garg", max_depth=50)
+    parts = evaluate_parts(predictions, truths, near_and_far, kind="disparity", crop="garg", max_depth=50)
     pixels = parts["valid_pixels"]
     assert pixels.groupby("image").sum().tolist() == whole["valid_pixels"].tolist()
     mixed = (parts["abs_rel"] * pixels).groupby("image").sum() / pixels.groupby("image").sum()
@@ -116,8 +117,8 @@ def test_the_parts_together_are_the_pixels_of_the_protocol():
 def test_an_empty_or_unequal_input_is_one_clear_error():
     depth = np.full((20, 40), 10.0)
     with pytest.raises(InputError, match="none of the 1 ground truths has a valid pixel"):
-        evaluate_near_far([depth], [np.zeros_like(depth)])
-    with pytest.raises(InputError, match="2 predictions but 1 ground truths"):
-        evaluate_near_far([depth, depth], [depth])
+        evaluate_parts([depth], [np.zeros_like(depth)], near_and_far)
+    with pytest.raises(InputError, match="holds 2 predictions but there are 1 ground truths"):
+        evaluate_parts([depth, depth], [depth], near_and_far)
     with pytest.raises(InputError, match="image 1: the depth holds NaN"):
-        evaluate_near_far([depth, np.full_like(depth, np.nan)], [depth, depth])
+        evaluate_parts([depth, np.full_like(depth, np.nan)], [depth, depth], near_and_far)

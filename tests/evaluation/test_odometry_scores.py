@@ -290,8 +290,8 @@ def test_the_mean_step_counts_every_step_once():
 
 def test_controls_move_as_they_say():
     step = np.array([0.1, -0.2, 0.9])
-    poses = odometry.constant_velocity(np.array([3, 4, 8]), step)
-    np.testing.assert_allclose(poses[:, :3, 3], [3 * step, 4 * step, 8 * step])
+    poses = odometry.constant_velocity(3, step)
+    np.testing.assert_allclose(poses[:, :3, 3], [0 * step, step, 2 * step])
     assert (poses[:, :3, :3] == np.eye(3)).all()
     np.testing.assert_array_equal(odometry.straight_ahead(4), straight(4))
     truth = wander(5, 14)

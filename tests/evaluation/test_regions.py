@@ -6,8 +6,8 @@ import pytest
 from slow_metrics import slow_metrics
 
 from dualdepth.errors import InputError
-from dualdepth.evaluation.depth import METRICS, evaluate
-from dualdepth.evaluation.regions import REGIONS, evaluate_regions
+from dualdepth.evaluation.depth import METRICS, evaluate, evaluate_parts
+from dualdepth.evaluation.regions import POLE, REGIONS, class_errors, in_regions
 
 ROAD, GREEN = "Road", "Tree & grass"
 
@@ -25,6 +25,11 @@ def slow_regions(prediction, truth, labels, kind, min_depth, max_depth):
     }
 
 
+def evaluate_regions(predictions, truths, labels, **protocol):
+    parts = in_regions(labels, [f"{number}.png" for number in range(len(labels))])
+    return evaluate_parts(predictions, truths, parts, required="a pixel of a region", **protocol)
+
+
 def sample(seed, size=(23, 31)):
     """A random prediction, a sparse truth, and labels of all kinds."""
     rng = np.random.default_rng(seed)
@@ -39,7 +44,7 @@ def test_both_regions_equal_the_slow_reference(kind):
     settings = {"min_depth": 2.0, "max_depth": 60.0}
     frame = evaluate_regions(*zip(*samples), kind=kind, crop="none", **settings)
     assert list(frame.index) == [(image, region) for image in range(3) for region in (ROAD, GREEN)]
-    assert frame.index.names == ["image", "region"]
+    assert frame.index.names == ["image", "part"]
     for image, given in enumerate(samples):
         for region, expected in slow_regions(*given, kind, **settings).items():
             for name, value in expected.items():
@@ -76,14 +81,11 @@ def test_labels_outside_the_crop_and_where_nothing_is_measured_do_not_count():
     assert frame["valid_pixels"].to_dict() == {(0, ROAD): 19 * (192 - 7)}
 
 
-def test_images_with_too_few_pixels_of_a_region_have_no_row_for_it():
+def test_images_without_a_pixel_of_a_region_have_no_row_for_it():
     truth = np.full((1, 8), 10.0)
-    labels = [np.array([row], np.uint8) for row in ([0] * 5 + [8] * 3, [0] * 4 + [9] * 4, [2] * 8, [0] + [2] * 7)]
-    counted = [list(evaluate_regions([truth] * 4, [truth] * 4, labels, crop="none", least=least).index) for least in (1, 4, 5)]
-    assert counted[0] == [(0, ROAD), (0, GREEN), (1, ROAD), (1, GREEN), (3, ROAD)]
-    assert counted[1] == [(0, ROAD), (1, ROAD), (1, GREEN)]
-    assert counted[2] == [(0, ROAD)]
-    unknown = evaluate_regions([truth] * 2, [0 * truth, truth], labels[:2], crop="none")
+    labels = [np.array([row], np.uint8) for row in ([0] * 5 + [8] * 3, [2] * 8, [0] + [2] * 7)]
+    assert list(evaluate_regions([truth] * 3, [truth] * 3, labels, crop="none").index) == [(0, ROAD), (0, GREEN), (2, ROAD)]
+    unknown = evaluate_regions([truth] * 2, [0 * truth, truth], labels[:1] * 2, crop="none")
     assert list(unknown.index) == [(1, ROAD), (1, GREEN)]  # the others keep their places
 
 
@@ -98,13 +100,31 @@ def test_a_region_that_is_the_whole_image_scores_as_the_image():
 
 def test_bad_input_is_one_clear_error():
     depth, labels = np.full((20, 40), 10.0), np.zeros((20, 40), np.uint8)
-    with pytest.raises(InputError, match="image 1: the label map is of 20x39 pixels, the ground truth of 20x40"):
+    with pytest.raises(InputError, match="png: the label map is of 20x39 pixels, the ground truth of 20x40"):
         evaluate_regions([depth] * 2, [depth] * 2, [labels, labels[:, 1:]])
-    with pytest.raises(InputError, match="2 predictions, 2 ground truths and 1 label maps; give one of each"):
-        evaluate_regions([depth] * 2, [depth] * 2, [labels])
     with pytest.raises(InputError, match="image 1: the depth holds NaN"):
         evaluate_regions([depth, depth * np.nan], [depth] * 2, [labels] * 2)
-    with pytest.raises(InputError, match=r"none of the 1 images has 1 valid pixel of Road or Tree & grass; check the label maps"):
+    with pytest.raises(InputError, match="none of the 1 ground truths has a pixel of a region"):
         evaluate_regions([depth], [depth], [labels + 2])
-    with pytest.raises(InputError, match="least 0: must be 1 or more"):
-        evaluate_regions([depth], [depth], [labels], least=0)
+
+
+def test_only_pixels_of_the_class_with_truth_in_range_count():
+    labels = np.array([[5, 7, 5, 5, 5, 0, 8]], np.uint8)
+    truth = np.array([[10, 20, 0, 80, 100, 10, 10]], np.float32)  # a pole and a sign in range; none known; at the limit; beyond it
+    depth = np.array([[12, 15, 9, 9, 9, 99, 50]], np.float32)
+    found = class_errors(depth, truth, labels, [POLE, 7], max_depth=80)
+    assert found["valid_pixels"] == 2  # of both classes together
+    assert found["abs_rel"] == pytest.approx((2 / 10 + 5 / 20) / 2)
+    assert found["rmse"] == pytest.approx(np.sqrt((4 + 25) / 2)) and found["a1"] == 0.5
+
+
+def test_exact_depth_of_a_class_scores_zeros_and_ones():
+    truth = np.random.default_rng(0).uniform(1, 70, (6, 8)).astype(np.float32)
+    found = class_errors(truth, truth, np.full((6, 8), POLE), [POLE], max_depth=80)
+    assert [found[name] for name in METRICS] == [0, 0, 0, 0, 1, 1, 1]
+
+
+@pytest.mark.parametrize(("label", "depth"), [(0, 10.0), (5, 0.0), (5, 80.0), (5, 500.0)])
+def test_there_is_no_score_where_no_pixel_counts(label, depth):
+    maps = np.full((4, 4), depth), np.full((4, 4), label)
+    assert class_errors(np.ones((4, 4)), *maps, [POLE], max_depth=80) is None

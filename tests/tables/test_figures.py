@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from dualdepth import plots
-from dualdepth.evaluation.objects import POLE
+from dualdepth.evaluation.regions import POLE
 from dualdepth.tables.figures import around, boundary_window, close_ups, depth_rows, far_errors, far_window, interpolated, pole_window
 
 

@@ -7,7 +7,7 @@ import pytest
 from dualdepth import paper
 from dualdepth.evaluation.distance import PARTS
 from dualdepth.tables import distance
-from dualdepth.tables.distance import RATIOS, distance_claims, distance_table, gain_row, score_part
+from dualdepth.tables.distance import RATIOS, distance_claims, distance_table, far_gain, score_part
 from dualdepth.tables.rows import COMPARISON
 
 NEAR, FAR = PARTS
@@ -129,7 +129,7 @@ def given(make_run, monkeypatch):
 
     def near_far(run, variant, seed, own_ratio=False):
         rows = {(image, part): error for part in PARTS for image, error in values[variant, part].items()}
-        return pd.DataFrame({"abs_rel": pd.Series(rows), "a1": 1 - pd.Series(rows)}).rename_axis(["image", "distance"])
+        return pd.DataFrame({"abs_rel": pd.Series(rows), "a1": 1 - pd.Series(rows)}).rename_axis(["image", "part"])
 
     monkeypatch.setattr(distance, "near_far", near_far)
     text = "about: x\ndata:\n  source: kitti\n  train_list: eigen_zhou\ntrain: {lr: , dual: }\n"
@@ -137,7 +137,7 @@ def given(make_run, monkeypatch):
 
 
 def test_gains_are_compared_in_images_that_have_both_parts(given):
-    row = gain_row(given[0], "dual", [0], False)
+    row = far_gain(given[0], "dual", [0], False)
     # far: 0.3, 0.1; near: 0, 0.05
     assert [row["mean_a"], row["mean_b"], row["difference"]] == pytest.approx([0.2, 0.025, 0.175])
     assert [row["low"], row["high"]] == pytest.approx([0.05, 0.3])
@@ -145,7 +145,7 @@ def test_gains_are_compared_in_images_that_have_both_parts(given):
 
 
 def test_relative_gains_are_in_units_of_lr_nets_mean_error_in_the_part(given):
-    row = gain_row(given[0], "dual", [0], True)
+    row = far_gain(given[0], "dual", [0], True)
     # LR-Net's mean errors: 0.6 far, 0.2 near, over all images of the part
     assert [row["mean_a"], row["mean_b"]] == pytest.approx([0.2 / 0.6, 0.025 / 0.2])
     assert row["difference"] == pytest.approx(0.2 / 0.6 - 0.025 / 0.2)
@@ -154,28 +154,25 @@ def test_relative_gains_are_in_units_of_lr_nets_mean_error_in_the_part(given):
 def test_a_gain_that_is_larger_near_by_is_worse(given):
     run, values = given
     values["dual", FAR] = values["lr", FAR]
-    assert gain_row(run, "dual", [0], False)["in_words"].startswith("worse by 0.025: ")
+    assert far_gain(run, "dual", [0], False)["in_words"].startswith("worse by 0.025: ")
 
 
 def test_gains_of_one_image_are_not_compared(given):
     run, values = given
     for variant in ("lr", "dual"):
         del values[variant, NEAR][1]
-    row = gain_row(run, "dual", [0], False)
+    row = far_gain(run, "dual", [0], False)
     assert row["in_words"] == "not compared: 1 image" and row["n"] == 1 and row["a"] == f"gain of dual, {FAR}"
 
 
 def test_only_what_is_trained_has_gains(given):
-    assert gain_row(given[0], "dual_no_sa", [0], False) is None
     claims = distance_claims(given[0], [0]).query("distance == 'far against near'")
     assert claims["a"].tolist() == [f"gain of dual, {FAR}", f"relative gain of dual, {FAR}"]
 
 
 def test_a_trainings_parts_are_evaluated_once(run, monkeypatch):
-    asked, evaluate = [], distance.evaluate_near_far
-    monkeypatch.setattr(
-        distance, "evaluate_near_far", lambda *a, own_ratio, **k: asked.append(own_ratio) or evaluate(*a, own_ratio=own_ratio, **k)
-    )
+    asked, evaluate = [], distance.evaluate_parts
+    monkeypatch.setattr(distance, "evaluate_parts", lambda *a, **k: asked.append(k["own_ratio"]) or evaluate(*a, **k))
     distance_table(run, [0, 1])
     distance_claims(run, [0, 1])
     assert sorted(asked) == 6 * [False] + 6 * [True]  # three networks, two seeds

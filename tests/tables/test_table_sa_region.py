@@ -13,7 +13,7 @@ from dualdepth.files import write_json
 from dualdepth.run import Sources
 from dualdepth.tables import sa_region
 from dualdepth.tables.rows import COMPARISON
-from dualdepth.tables.sa_region import NO_LABELS, gain_row, labels_made_by, sa_region_claims, sa_region_table
+from dualdepth.tables.sa_region import NO_LABELS, labels_made_by, sa_region_claims, sa_region_table
 from dualdepth.tables.scoring import scored_frames
 
 ROAD, GREEN = REGIONS
@@ -132,8 +132,15 @@ def test_attention_is_judged_in_each_region_over_all_seeds_and_for_each(run):
 
 
 def test_the_gain_on_road_is_compared_with_that_on_green_in_images_that_have_both(run):
-    row = sa_region_claims(run, [0, 1]).query("region == 'Road against Tree & grass'").set_index("seed").loc["0 1"]
+    rows = sa_region_claims(run, [0, 1]).query("region == 'Road against Tree & grass'").set_index("seed")
+    row = rows.loc["0 1"]
     assert [row["a"], row["b"]] == ["gain of dual, Road", "gain of dual, Tree & grass"]
     assert [row["mean_a"], row["mean_b"], row["difference"]] == pytest.approx([0.2, -0.05, 0.25])
     assert row["n"] == 2 and row["in_words"].startswith("better by 0.25: ")
-    assert gain_row(run, [1])["difference"] == pytest.approx(0.25)
+    assert rows.loc["1", "difference"] == pytest.approx(0.25)
+
+
+def test_there_is_one_label_map_for_each_ground_truth(run, monkeypatch):
+    monkeypatch.setattr(sa_region, "truth", lambda run: truths()[:2])
+    with pytest.raises(InputError, match="2 ground truths but 3 label maps"):
+        sa_region.score_regions(run, "dual", 0)
