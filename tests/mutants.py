@@ -52,7 +52,7 @@ def failing(root: Path, mutant: Mutant) -> str:
     path = root / "dualdepth" / mutant.file
     whole = path.read_text(encoding="utf-8")
     path.write_text(whole.replace(mutant.old, mutant.new), encoding="utf-8")
-    words = ["-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *(f"tests/{name}" for name in mutant.tests)]
+    words = ["-m", "pytest", "-x", "-q", "-rfE", "-p", "no:cacheprovider", *(f"tests/{name}" for name in mutant.tests)]
     environment = os.environ | {"PYTHONPATH": str(root), "PYTHONDONTWRITEBYTECODE": "1"}
     try:
         done = subprocess.run([sys.executable, *words], cwd=root, env=environment, capture_output=True, text=True, check=False)
