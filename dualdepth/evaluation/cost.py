@@ -59,14 +59,12 @@ def count(model: torch.nn.Module, *inputs: torch.Tensor, **options: Any) -> Cost
     return Cost(params, flops // 2)
 
 
-def latency(
-    model: torch.nn.Module, *inputs: torch.Tensor, repeats: int = 10, warmup: int = 2, precision: Precision = "float32", **options: Any
-) -> Latency:
+def latency(model: torch.nn.Module, *inputs: torch.Tensor, repeats: int = 10, precision: Precision = "float32", **options: Any) -> Latency:
     """Measure `model(*inputs)` in eval mode on the device of its inputs.
 
     Args:
         model, *inputs: on one device; left unchanged, and a batch as it will be used, such as (1, 3, 384, 1248).
-        repeats, warmup: timed runs, of which the median counts, and runs before them, which choose kernels and fill caches.
+        repeats: timed runs, of which the median counts. One before them chooses kernels and fills caches; its memory is what is measured.
         precision: `bf16` runs under autocast, with the weights in float32.
         **options: handed to the model.
     """
@@ -77,18 +75,16 @@ def latency(
     times = []
     autocast = torch.autocast(device.type, torch.bfloat16, enabled=precision == "bf16")
     with _eval_mode(model), torch.inference_mode(), autocast:
-        for _ in range(warmup):
-            model(*inputs, **options)
+        run = functools.partial(model, *inputs, **options)
+        extra = _cuda_peak(run, device) if cuda else _cpu_peak(run)
         for _ in range(repeats):
             if cuda:
                 torch.cuda.synchronize(device)
             start = time.perf_counter()
-            model(*inputs, **options)
+            run()
             if cuda:
                 torch.cuda.synchronize(device)
             times.append(time.perf_counter() - start)
-        run = functools.partial(model, *inputs, **options)
-        extra = _cuda_peak(run, device) if cuda else _cpu_peak(run)
     held = sum(value.numel() * value.element_size() for value in (*model.parameters(), *model.buffers(), *inputs))
     name = torch.cuda.get_device_name(device) if cuda else device.type
     return Latency(statistics.median(times) * 1e3, (held + extra) / 1e6, name)

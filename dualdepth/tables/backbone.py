@@ -44,7 +44,7 @@ def cost_row(name: str, repeats: int) -> dict[str, Any]:
     for precision, suffix in (("float32", ""), ("bf16", "_bf16")):
         row |= {f"latency_ms{suffix}": math.nan, f"peak_mb{suffix}": math.nan}
         if precision == "float32" or has_bf16(where):
-            measured = latency(net, image, repeats=repeats, warmup=1, precision=precision, **options)
+            measured = latency(net, image, repeats=repeats, precision=precision, **options)
             row |= {f"latency_ms{suffix}": measured.median_ms, f"peak_mb{suffix}": measured.peak_mb}
     return row
 

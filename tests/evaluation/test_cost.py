@@ -60,7 +60,7 @@ def test_a_model_that_reads_values_is_counted_where_it_is():
 def test_latency_reports_time_and_the_memory_of_weights_input_and_activations(device):
     net = nn.Sequential(nn.ReLU(), nn.ReLU(), nn.ReLU(), nn.Flatten(), nn.Linear(4_000, 10)).to(device).train()
     image = torch.zeros(50, 4, 1_000, device=device)
-    measured = latency(net, image, repeats=3, warmup=1)
+    measured = latency(net, image, repeats=3)
     held = 4 * (40_000 + 10 + 200_000)
     # the second ReLU has its input and its output beside the image
     assert measured.peak_mb == pytest.approx((held + 2 * 4 * 200_000) / 1e6, rel=0.02)
@@ -85,7 +85,7 @@ class Watched(nn.Module):
 @pytest.mark.parametrize(("precision", "computed"), [("float32", torch.float32), ("bf16", torch.bfloat16)])
 def test_latency_runs_in_the_precision_that_was_asked_for(precision, computed):
     net = Watched()
-    measured = latency(net, torch.zeros(1, 3, 8, 8), repeats=2, warmup=1, precision=precision)
+    measured = latency(net, torch.zeros(1, 3, 8, 8), repeats=2, precision=precision)
     assert set(net.dtypes) == {(torch.float32, torch.float32, computed, computed)}
     assert len(net.dtypes) == 4  # the warm-up, two timed runs, and the one whose memory is watched
     assert measured.median_ms > 0
@@ -96,6 +96,6 @@ def test_latency_runs_in_the_precision_that_was_asked_for(precision, computed):
 def test_activations_in_bf16_take_half_the_memory():
     net = nn.Sequential(nn.Conv2d(1, 64, 1), nn.Conv2d(64, 64, 1, groups=64)).requires_grad_(False)
     image = torch.zeros(1, 1, 300, 300)
-    full, half = (latency(net, image, repeats=1, warmup=1, precision=p).peak_mb for p in ("float32", "bf16"))
+    full, half = (latency(net, image, repeats=1, precision=p).peak_mb for p in ("float32", "bf16"))
     held = 4 * 300 * 300 / 1e6
     assert (half - held) / (full - held) == pytest.approx(0.5, abs=0.03)

@@ -23,7 +23,7 @@ def latencies(monkeypatch):
     """Networks have shapes only, and their time is not measured: what would be is recorded."""
     asked = []
 
-    def latency(model, image, *, repeats, warmup, precision, **options):
+    def latency(model, image, *, repeats, precision, **options):
         asked.append((image.shape[2:], sum(p.numel() for p in model.parameters()), repeats, precision))
         return Latency(7.0 if precision == "float32" else 3.0, 100.0 if precision == "float32" else 60.0, "a device")
 
