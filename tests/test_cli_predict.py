@@ -128,23 +128,32 @@ def test_broken_files_are_named_and_the_others_done(photos, weights, tmp_path, c
     assert run(*words) == 0
 
 
-def test_a_run_that_is_stopped_goes_on_where_it_was(photos, weights, tmp_path, monkeypatch, capsys):
-    out, predict, calls = tmp_path / "o", dualdepth.DepthModel.predict_batch, []
+@pytest.fixture
+def stop_at(monkeypatch):
+    """As Ctrl-C at the n-th call of the network; gives the calls."""
+    predict, calls = dualdepth.DepthModel.predict_batch, []
 
-    def stop(model, images):
-        calls.append(images)
-        if len(calls) == 5:
-            raise KeyboardInterrupt
-        return predict(model, images)
+    def call(number):
+        def counted(model, images):
+            calls.append(images)
+            if len(calls) == number:
+                raise KeyboardInterrupt
+            return predict(model, images)
 
-    monkeypatch.setattr(dualdepth.DepthModel, "predict_batch", stop)
+        monkeypatch.setattr(dualdepth.DepthModel, "predict_batch", counted)
+        return calls
+
+    return call
+
+
+def test_a_run_that_is_stopped_goes_on_where_it_was(photos, weights, tmp_path, stop_at, capsys):
+    out, calls = tmp_path / "o", stop_at(5)
     assert run(photos, "--weights", weights, "--out", out) == 130
-    done = len(list(out.glob("*.depth.png")))
-    assert done == 4
+    assert len(list(out.glob("*.depth.png"))) == 4
     (out / ".a.0123abcd.part.png").touch()  # as a killed writer leaves it
     assert run(photos, "--weights", weights, "--out", out) == 0
-    assert capsys.readouterr().out.endswith(f"{6 - done} predicted, {done} were there\n")
-    assert len(calls) == 5 + 6 - done
+    assert capsys.readouterr().out.endswith("2 predicted, 4 were there\n")
+    assert len(calls) == 7
     assert not list(out.glob(".*.part*"))
     assert len(visible(out)) == 13
 
@@ -196,34 +205,17 @@ def test_a_video_becomes_a_video_side_by_side(clip, weights, tmp_path):
     assert frames[0].shape[0] == 120 and frames[0].shape[1] > 2 * 161
 
 
-def test_each_frame_has_files_where_they_are_asked_for(clip, weights, tmp_path, capsys):
-    out = tmp_path / "o"
-    words = (clip, "--weights", weights, "--out", out, "--save", "npy,depth")
-    assert run(*words) == 0
-    assert len(list((out / "clip.frames").iterdir())) == 20
-    depths = [np.load(out / "clip.frames" / f"{i:06d}.depth.npy").mean() for i in range(10)]
-    assert depths == sorted(depths, reverse=True)
-    assert run(*words) == 0
-    assert capsys.readouterr().out.endswith("0 predicted, 1 were there\n")
-
-
-def test_a_video_that_is_stopped_between_frames_is_predicted_again(clip, weights, tmp_path, monkeypatch, capsys):
-    """Its first frame is written last."""
-    predict, calls = dualdepth.DepthModel.predict_batch, []
-
-    def stop(model, images):
-        calls.append(images)
-        if len(calls) == 8:
-            raise KeyboardInterrupt
-        return predict(model, images)
-
-    monkeypatch.setattr(dualdepth.DepthModel, "predict_batch", stop)
-    words = (clip, "--weights", weights, "--out", tmp_path / "o", "--save", "npy", "--device", "cpu")
+def test_each_frame_has_files_where_they_are_asked_for_and_the_first_ones_say_that_all_are_there(clip, weights, tmp_path, stop_at, capsys):
+    folder, words = tmp_path / "o" / "clip.frames", (clip, "--weights", weights, "--out", tmp_path / "o", "--save", "npy,depth")
+    stop_at(8)
     assert run(*words) == 130
-    assert [path.name[:6] for path in sorted((tmp_path / "o" / "clip.frames").iterdir())] == [f"{i:06d}" for i in range(1, 7)]
-    assert run(*words) == 0
-    assert capsys.readouterr().out.endswith("1 predicted\n")
-    assert len(list((tmp_path / "o" / "clip.frames").iterdir())) == 10
+    assert sorted(path.name for path in folder.glob("*.npy")) == [f"{i:06d}.depth.npy" for i in range(1, 7)]
+    for expected in ("1 predicted\n", "0 predicted, 1 were there\n"):
+        assert run(*words) == 0
+        assert capsys.readouterr().out.endswith(expected)
+    assert len(list(folder.iterdir())) == 20
+    depths = [np.load(folder / f"{i:06d}.depth.npy").mean() for i in range(10)]
+    assert depths == sorted(depths, reverse=True)
 
 
 def test_a_video_that_ends_early_gives_what_it_has_and_says_so_each_time(clip, weights, tmp_path, capsys):
