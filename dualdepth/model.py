@@ -9,13 +9,11 @@ import torch
 from huggingface_hub import ModelCard, ModelHubMixin, hf_hub_download
 from torch import nn
 
-from dualdepth.data.frames import resample
 from dualdepth.data.kitti import read_image
 from dualdepth.device import Precision, choose_device, inference_precision
 from dualdepth.errors import InputError
 from dualdepth.evaluation.depth import resize_bilinear
-from dualdepth.geometry import low_resolution, to_unit
-from dualdepth.inference.predict import load_depth_net
+from dualdepth.inference.predict import DepthNet, disparities_of, load_depth_net
 from dualdepth.networks.architecture import Architecture
 from dualdepth.training.weights import HUB_CARD, load_card, save_weights
 
@@ -127,12 +125,8 @@ class DepthModel(ModelHubMixin):
     def predict_batch(self, images: Sequence[str | Path | np.ndarray]) -> list[np.ndarray]:
         """Depths of some images, of any sizes, computed together; see `predict`."""
         arrays = [_rgb(image) for image in images]
-        views = np.stack([resample(array, self.size) for array in arrays]).transpose(0, 3, 1, 2)
-        seen = to_unit(torch.from_numpy(np.ascontiguousarray(views)).to(self.device))
-        if self.architecture.sees_low_resolution:
-            seen = low_resolution(seen[:, None])[:, 0]
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.precision == "bf16"):
-            disparities = self.net(seen, scales=1).disparities[0][:, 0].float().cpu().numpy()
+            disparities = disparities_of(DepthNet(self.net, self.architecture, self.size), arrays, self.device)
         if not np.isfinite(disparities).all():
             raise InputError(f"the network's numbers are not finite in {self.precision}; its weights are damaged or need float32")
         return [resize_bilinear(np.float32(UNIT) / disparity, array.shape[:2]) for disparity, array in zip(disparities, arrays)]

@@ -80,8 +80,8 @@ def read(out, name):
     return np.load(out / f"{name}.depth.npy")
 
 
-def journal(out):
-    return [json.loads(line) for line in (out / "predictions.jsonl").read_text().splitlines()]
+def stamp(out):
+    return json.loads((out / "predictions.json").read_text())
 
 
 def visible(out):
@@ -94,11 +94,11 @@ def test_every_kind_of_photo_becomes_depth_of_its_own_size(photos, weights, tmp_
     said = capsys.readouterr().out
     assert f"Depth is relative: its unit is unknown. Learned by {ABOUT}." in said
     assert "field of view 81.4 degrees by default" in said
-    entries = journal(out)
-    assert [os.path.basename(entry["input"]) for entry in entries] == sorted(set(os.listdir(photos)) - {"notes.txt"})
-    assert [entry["name"] for entry in entries] == ["a", "a-2", "b grey ü", "c deep", "d clear", "e turned"]
-    assert all(ABOUT in entry["about"] and entry["precision"] == "float32" for entry in entries)
-    sizes = {entry["name"]: read(out, entry["name"]).shape for entry in entries}
+    entries = stamp(out)
+    assert [os.path.basename(path) for path in entries["inputs"].values()] == sorted(set(os.listdir(photos)) - {"notes.txt"})
+    assert list(entries["inputs"]) == ["a", "a-2", "b grey ü", "c deep", "d clear", "e turned"]
+    assert ABOUT in entries["options"]["weights"] and entries["options"]["precision"] == "float32"
+    sizes = {name: read(out, name).shape for name in entries["inputs"]}
     assert sizes == {name: (60, 100) for name in sizes} | {"e turned": (100, 60)}
     assert np.array_equal(read(out, "c deep"), read(out, "d clear"))
     np.testing.assert_allclose(read(out, "e turned").T[::-1], read(out, "a-2"), rtol=0.3)
@@ -128,24 +128,32 @@ def test_broken_files_are_named_and_the_others_done(photos, weights, tmp_path, c
     assert run(*words) == 0
 
 
-def test_a_run_that_is_stopped_goes_on_where_it_was(photos, weights, tmp_path, monkeypatch, capsys):
-    out, predict, calls = tmp_path / "o", dualdepth.DepthModel.predict_batch, []
+@pytest.fixture
+def stop_at(monkeypatch):
+    """As Ctrl-C at the n-th call of the network; gives the calls."""
+    predict, calls = dualdepth.DepthModel.predict_batch, []
 
-    def stop(model, images):
-        calls.append(images)
-        if len(calls) == 5:
-            raise KeyboardInterrupt
-        return predict(model, images)
+    def call(number):
+        def counted(model, images):
+            calls.append(images)
+            if len(calls) == number:
+                raise KeyboardInterrupt
+            return predict(model, images)
 
-    monkeypatch.setattr(dualdepth.DepthModel, "predict_batch", stop)
-    monkeypatch.setattr(os, "cpu_count", lambda: 1)  # two files at a time
+        monkeypatch.setattr(dualdepth.DepthModel, "predict_batch", counted)
+        return calls
+
+    return call
+
+
+def test_a_run_that_is_stopped_goes_on_where_it_was(photos, weights, tmp_path, stop_at, capsys):
+    out, calls = tmp_path / "o", stop_at(5)
     assert run(photos, "--weights", weights, "--out", out) == 130
-    done = len(journal(out))
-    assert 0 < done < 5
+    assert len(list(out.glob("*.depth.png"))) == 4
     (out / ".a.0123abcd.part.png").touch()  # as a killed writer leaves it
     assert run(photos, "--weights", weights, "--out", out) == 0
-    assert capsys.readouterr().out.endswith(f"{6 - done} predicted, {done} were there\n")
-    assert len(calls) == 5 + 6 - done
+    assert capsys.readouterr().out.endswith("2 predicted, 4 were there\n")
+    assert len(calls) == 7
     assert not list(out.glob(".*.part*"))
     assert len(visible(out)) == 13
 
@@ -156,7 +164,7 @@ def test_results_beside_their_inputs_do_not_become_inputs(photos, weights, capsy
     for expected in ("6 predicted\n", "0 predicted, 6 were there\n"):
         assert run(photos, "--weights", weights / "model.safetensors", "--out", photos) == 0
         assert capsys.readouterr().out.endswith(expected)
-    assert {"a.colour.png", "a.depth.png", "predictions.jsonl"} < set(visible(photos)) and len(visible(photos)) == before + 13
+    assert {"a.colour.png", "a.depth.png", "predictions.json"} < set(visible(photos)) and len(visible(photos)) == before + 13
 
 
 @pytest.mark.parametrize(
@@ -168,7 +176,9 @@ def test_a_scale_is_applied_to_all_and_said_and_batches_give_what_single_images_
         assert run(photos, "--weights", weights, "--out", tmp_path / name, "--save", "npy", *more) == 1
     for path in (tmp_path / "one").glob("*.npy"):
         np.testing.assert_allclose(np.load(tmp_path / "two" / path.name), scale * np.load(path), rtol=1e-5)
-    assert journal(tmp_path / "two")[0]["unit"] == unit
+    assert run(photos, "--weights", weights, "--out", tmp_path / "two", "--save", "depth", *words) == 1
+    with PIL.Image.open(tmp_path / "two" / "a.depth.png") as image:
+        assert f"value / 256 = {unit};" in image.text["Description"]
 
 
 def test_a_gpu_that_is_too_small_gets_smaller_batches(photos, weights, tmp_path, monkeypatch):
@@ -188,22 +198,24 @@ def test_a_gpu_that_is_too_small_gets_smaller_batches(photos, weights, tmp_path,
 def test_a_video_becomes_a_video_side_by_side(clip, weights, tmp_path):
     out = tmp_path / "o"
     assert run(clip, "--weights", weights, "--out", out) == 0
-    assert visible(out) == ["clip.side.mp4", "predictions.jsonl"]
+    assert visible(out) == ["clip.side.mp4", "predictions.json"]
     made = Video(out / "clip.side.mp4")
     frames = [frame for _, frame in made.frames()]
     assert made.rate == 10 and len(frames) == 10
     assert frames[0].shape[0] == 120 and frames[0].shape[1] > 2 * 161
 
 
-def test_each_frame_has_files_where_they_are_asked_for(clip, weights, tmp_path, capsys):
-    out = tmp_path / "o"
-    words = (clip, "--weights", weights, "--out", out, "--save", "npy,depth")
-    assert run(*words) == 0
-    assert len(list((out / "clip.frames").iterdir())) == 20
-    depths = [np.load(out / "clip.frames" / f"{i:06d}.depth.npy").mean() for i in range(10)]
+def test_each_frame_has_files_where_they_are_asked_for_and_the_first_ones_say_that_all_are_there(clip, weights, tmp_path, stop_at, capsys):
+    folder, words = tmp_path / "o" / "clip.frames", (clip, "--weights", weights, "--out", tmp_path / "o", "--save", "npy,depth")
+    stop_at(8)
+    assert run(*words) == 130
+    assert sorted(path.name for path in folder.glob("*.npy")) == [f"{i:06d}.depth.npy" for i in range(1, 7)]
+    for expected in ("1 predicted\n", "0 predicted, 1 were there\n"):
+        assert run(*words) == 0
+        assert capsys.readouterr().out.endswith(expected)
+    assert len(list(folder.iterdir())) == 20
+    depths = [np.load(folder / f"{i:06d}.depth.npy").mean() for i in range(10)]
     assert depths == sorted(depths, reverse=True)
-    assert run(*words) == 0
-    assert capsys.readouterr().out.endswith("0 predicted, 1 were there\n")
 
 
 def test_a_video_that_ends_early_gives_what_it_has_and_says_so_each_time(clip, weights, tmp_path, capsys):

@@ -15,8 +15,8 @@ def add_predict(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         "predict",
         help="depth of images, folders and videos with trained weights",
         description="Predict relative depth of images and videos of any size, at their own size. Depth is relative: its unit is unknown."
-        " A broken file is named and skipped, and the exit code is then 1. The same command goes on where it was stopped: results that"
-        " are there are skipped, unless their file, the weights, or what shapes them has changed.",
+        " A broken file is named and skipped, and the exit code is then 1. The same command goes on where it was stopped: a"
+        " result that is newer than its input is kept, unless the weights or an option that shapes results have changed.",
     )
     parser.add_argument("inputs", nargs="+", metavar="INPUT", help="image, video, folder of them, or pattern in quotes ('in/**/*.jpg')")
     parser.add_argument(
@@ -25,7 +25,7 @@ def add_predict(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         metavar="W",
         help="model.safetensors with its card beside it, its folder, or owner/name on the model hub",
     )
-    parser.add_argument("--out", required=True, metavar="DIR", help="folder of the results; predictions.jsonl in it says what is what")
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder of the results; predictions.json in it says what is what")
     parser.add_argument(
         "--save",
         type=_kinds,
@@ -52,7 +52,7 @@ def add_predict(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     camera.add_argument("--intrinsics", type=float, nargs=4, metavar=("FX", "FY", "CX", "CY"), help="in pixels of the input, for ply")
     camera.add_argument("--focal", type=float, metavar="PX", help="focal length in pixels of the input, for ply")
     camera.add_argument("--fov", type=float, metavar="DEG", help="horizontal field of view, for ply (default: KITTI's 81.4 degrees)")
-    parser.add_argument("--overwrite", action="store_true", help="make results again that are there")
+    parser.add_argument("--overwrite", action="store_true", help="make results again that would be kept")
     parser.set_defaults(run=_predict)
 
 
@@ -74,7 +74,7 @@ def add_export(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
 
 def _predict(arguments: argparse.Namespace) -> int:
     """Predict all inputs and say what came of it; 1 where some were broken."""
-    from dualdepth.inference.inputs import find_inputs
+    from dualdepth.inference.inputs import find_inputs, plan
     from dualdepth.inference.outputs import KITTI_FIELD_OF_VIEW, Camera, Style
 
     if not (math.isfinite(arguments.scale) and arguments.scale > 0):
@@ -87,34 +87,33 @@ def _predict(arguments: argparse.Namespace) -> int:
 
     from dualdepth.device import keep_freed_memory
     from dualdepth.files import check_writable, locked, remove_leftovers
-    from dualdepth.inference.journal import Journal, plan
     from dualdepth.inference.running import Predictor
     from dualdepth.model import load
 
     keep_freed_memory()
     model = load(arguments.weights, arguments.device, arguments.precision)
-    print(f"{arguments.weights}: {model.about}", flush=True)
     out, style = Path(arguments.out), Style(model.about, arguments.scale, camera)
-    weights = f"{str(model.card.get('sha256'))[:16]} in {model.precision}"
+    weights = f"{model.card['sha256']}: {model.about}"
+    options = {"weights": weights, "precision": model.precision, "scale": repr(style.scale), "camera": repr(camera)}
     check_writable(out)
-    with locked(out / ".predict.lock"):
-        for folder in (out, *out.glob("*.frames")):
-            remove_leftovers(folder, below=False)
-        journal = Journal(out)
-        tasks = plan(paths, out, journal, weights, style, arguments.save, arguments.overwrite)
-        predictor = Predictor(model, out, journal, weights, style, arguments.batch_size)
-        todo = [task for task in tasks if task.kinds]
-        if any("ply" in task.kinds for task in todo):
-            print(f"point clouds: {camera}")
-        print(f"{len(todo)} of {len(tasks)} inputs to predict on {model.device} in {model.precision}", flush=True)
-        predictor.run(todo)
-        for task in tasks:
-            if task.trouble and not task.kinds:
-                predictor.tell(f"{task.path}: {task.trouble}")
+    print(f"{arguments.weights}: {model.about}", flush=True)
+    predictor = Predictor(model, out, style, arguments.batch_size)
+    try:
+        with locked(out / ".predict.lock"):
+            for folder in (out, *out.glob("*.frames")):
+                remove_leftovers(folder, below=False)
+            tasks = plan(paths, out, options, arguments.save, arguments.overwrite)
+            todo = [task for task in tasks if task.kinds]
+            if any("ply" in task.kinds for task in todo):
+                print(f"point clouds: {camera}")
+            print(f"{len(todo)} of {len(tasks)} inputs to predict on {model.device} in {model.precision}", flush=True)
+            predictor.run(todo)
+    except OSError as error:
+        raise InputError(f"{out}: results cannot be written ({error}); the same command then goes on where it was") from None
     there = f", {len(tasks) - len(todo)} were there" if len(todo) < len(tasks) else ""
-    broken = f", {len(predictor.troubles)} broken" if predictor.troubles else ""
+    broken = f", {predictor.broken} broken" if predictor.broken else ""
     print(f"{out}: {predictor.made} predicted{there}{broken}")
-    return 1 if predictor.troubles else 0
+    return 1 if predictor.broken else 0
 
 
 def _kinds(words: str) -> tuple[str, ...]:

@@ -1,6 +1,7 @@
-"""What is written of an image and its depth: 16-bit PNG, colours, array, point cloud. Each file is whole or absent."""
+"""What is written of images and their depth: 16-bit PNG, colours, array, point cloud, video. Each file is whole or absent."""
 
 import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,7 +12,7 @@ import PIL.PngImagePlugin
 
 from dualdepth.errors import InputError
 from dualdepth.files import atomic_path
-from dualdepth.inference.pictures import Range, colour_picture, side_by_side
+from dualdepth.inference.pictures import Range, picture
 
 PNG_FACTOR = 256
 """A PNG's value / 256 is the depth, as in KITTI's depth maps."""
@@ -20,6 +21,10 @@ SUFFIXES = {"depth": ".depth.png", "colour": ".colour.png", "side": ".side.png",
 COLOURS = ("red", "green", "blue")
 SIDE_VIDEO = ".side.mp4"
 ENDINGS = (*SUFFIXES.values(), SIDE_VIDEO)
+CODEC = "mp4v"
+"""MPEG-4 in MP4, which every OpenCV wheel writes."""
+WIDEST = 3840
+"""Pixels; wider side-by-side frames are shrunk, since players refuse them."""
 KITTI_FIELD_OF_VIEW = 2 * math.degrees(math.atan(1242 / 2 / 721.5377))
 """Degrees, horizontal, of KITTI's colour cameras (81.4); the default, since profiles `sample` and `paper` learn from such images."""
 
@@ -40,11 +45,11 @@ class Camera(NamedTuple):
         Raises:
             InputError: a number is not finite, a focal length not positive, or the field of view not between 0 and 180 degrees.
         """
-        lengths = [*(self.intrinsics or ())[:2], *([] if self.focal is None else [self.focal])]
-        if not all(math.isfinite(value) and value > 0 for value in lengths) or not all(map(math.isfinite, self.intrinsics or ())):
-            raise InputError(f"intrinsics {list(self.intrinsics or lengths)}: focal lengths must be positive and all numbers finite")
         if not 0 < self.field_of_view < 180:
             raise InputError(f"field of view {self.field_of_view}: must be between 0 and 180 degrees")
+        numbers = self.of((1, 1))
+        if not (all(map(math.isfinite, numbers)) and min(numbers[:2]) > 0):
+            raise InputError(f"intrinsics {list(numbers)}: focal lengths must be positive and all numbers finite")
         return self
 
     def of(self, size: tuple[int, int]) -> tuple[float, float, float, float]:
@@ -52,7 +57,7 @@ class Camera(NamedTuple):
         if self.intrinsics:
             return self.intrinsics
         height, width = size
-        focal = self.focal or width / 2 / math.tan(math.radians(self.field_of_view) / 2)
+        focal = width / 2 / math.tan(math.radians(self.field_of_view) / 2) if self.focal is None else self.focal
         return focal, focal, (width - 1) / 2, (height - 1) / 2
 
     def __str__(self) -> str:
@@ -101,8 +106,7 @@ def save(kind: str, path: Path, image: np.ndarray, depth: np.ndarray, style: Sty
         elif kind == "ply":
             _save_ply(partial, image, depth, style)
         else:
-            picture = colour_picture if kind == "colour" else side_by_side
-            drawn = picture(image, depth, colours or Range.of(depth), style.unit)
+            drawn = picture(depth, colours or Range.of(depth), style.unit, image if kind == "side" else None)
             partial.write_bytes(cv2.imencode(".png", drawn[..., ::-1])[1])
 
 
@@ -140,3 +144,35 @@ def _save_ply(path: Path, image: np.ndarray, depth: np.ndarray, style: Style) ->
     with path.open("wb") as file:
         file.write("\n".join(header).encode("ascii"))
         points.tofile(file)
+
+
+def write_video(path: Path, rate: float, frames: Iterable[np.ndarray]) -> None:
+    """Write frames (H, W, 3) uint8 RGB, `rate` a second; the file is whole or absent.
+
+    The first one's size is the video's. Odd sizes, which the codec has not, get their last row or column twice.
+
+    Raises:
+        OSError: the codec is not there, or not all frames were written; the codec tells of no full disk, so they are counted.
+    """
+    with atomic_path(path) as partial:
+        file, count, size = cv2.VideoWriter(), 0, (0, 0)
+        try:
+            for count, frame in enumerate(frames, 1):
+                if frame.shape[1] > WIDEST:
+                    height = max(2, round(frame.shape[0] * WIDEST / frame.shape[1]))
+                    frame = cv2.resize(frame, (WIDEST, height), interpolation=cv2.INTER_AREA)
+                if count == 1:
+                    size = tuple(side + side % 2 for side in frame.shape[:2])
+                    if not file.open(str(partial), cv2.CAP_FFMPEG, cv2.VideoWriter_fourcc(*CODEC), rate, size[::-1]):
+                        raise OSError(f"OpenCV cannot write {CODEC} video of {size[0]}×{size[1]}")
+                frame = frame[: size[0], : size[1]]  # the bar's words may be wider than those of the first frame, or narrower
+                missing = np.subtract(size, frame.shape[:2])
+                frame = cv2.copyMakeBorder(frame, 0, missing[0], 0, missing[1], cv2.BORDER_REPLICATE)
+                file.write(np.ascontiguousarray(frame[..., ::-1]))
+        finally:
+            file.release()
+        capture = cv2.VideoCapture(str(partial), cv2.CAP_FFMPEG)
+        written = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        capture.release()
+        if written != count:
+            raise OSError(f"{written} of {count} frames were written; is the disk full?")

@@ -1,6 +1,5 @@
 """Depth in colours with a bar, drawn fast enough for video."""
 
-from functools import cache
 from typing import NamedTuple
 
 import cv2
@@ -30,32 +29,16 @@ class Range(NamedTuple):
         return Range(*(old + share * (new - old) for old, new in zip(self, other)))
 
 
-@cache
-def _colours() -> np.ndarray:
-    """(256, 3) uint8 RGB: far is dark, near is bright."""
-    import matplotlib
-
-    return (matplotlib.colormaps["magma"](np.arange(256))[:, :3] * 255).round().astype(np.uint8)
-
-
 def colours(depth: np.ndarray, scale: Range) -> np.ndarray:
-    """(H, W, 3) uint8 RGB of depth (H, W), linear in inverse depth."""
+    """(H, W, 3) uint8 RGB of depth (H, W), linear in inverse depth: far is dark, near is bright."""
     share = (1.0 / depth - scale.far) / (scale.near - scale.far)
-    return _colours()[(np.clip(share, 0, 1) * 255).round().astype(np.uint8)]
+    return cv2.applyColorMap((np.clip(share, 0, 1) * 255).round().astype(np.uint8), cv2.COLORMAP_MAGMA)[..., ::-1]
 
 
-def colour_picture(image: np.ndarray, depth: np.ndarray, scale: Range, unit: str) -> np.ndarray:
-    """Depth (H, W) in colours beside its bar, (max(H, 120), W + bar, 3) uint8 RGB; `image` is not shown."""
-    return _with_bar([colours(depth, scale)], scale, unit)
-
-
-def side_by_side(image: np.ndarray, depth: np.ndarray, scale: Range, unit: str) -> np.ndarray:
-    """The image (H, W, 3), its depth (H, W) in colours, and the bar, (max(H, 120), 2 W + bar, 3) uint8 RGB."""
-    return _with_bar([image, colours(depth, scale)], scale, unit)
-
-
-def _with_bar(parts: list[np.ndarray], scale: Range, unit: str) -> np.ndarray:
-    height = max(SMALLEST, parts[0].shape[0])
+def picture(depth: np.ndarray, scale: Range, unit: str, image: np.ndarray | None = None) -> np.ndarray:
+    """Depth (H, W) in colours and the bar, with the image (H, W, 3) to their left if given: (max(H, 120), [W +] W + bar, 3) uint8 RGB."""
+    parts = [colours(depth, scale)] if image is None else [image, colours(depth, scale)]
+    height = max(SMALLEST, depth.shape[0])
     padded = [cv2.copyMakeBorder(part, 0, height - part.shape[0], 0, 0, cv2.BORDER_CONSTANT, value=GROUND) for part in parts]
     return np.hstack([*padded, _bar(height, scale, unit)])
 
@@ -71,14 +54,9 @@ def _bar(height: int, scale: Range, unit: str) -> np.ndarray:
     labels = [f"{1 / (scale.far + (scale.near - scale.far) * i / (TICKS - 1)):.3g}" for i in range(TICKS)]
     widest = max(cv2.getTextSize(word, cv2.FONT_HERSHEY_SIMPLEX, size, thick)[0][0] for word in [*labels, *words])
     panel = np.full((height, 2 * gap + strip + gap + widest + gap, 3), GROUND, np.uint8)
-    panel[top : bottom + 1, 2 * gap : 2 * gap + strip] = _colours()[np.linspace(255, 0, bottom - top + 1).round().astype(int)][:, None]
-
-    def write(text: str, x: int, y: int) -> None:
-        cv2.putText(panel, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, size, INK, thick, cv2.LINE_AA)
-
-    for i, label in enumerate(labels):
-        y = round(bottom - (bottom - top) * i / (TICKS - 1))
-        write(label, 3 * gap + strip, y + line // 2)
-    for i, word in enumerate(words):
-        write(word, 2 * gap, bottom + round(1.6 * line * (i + 1)) + line // 2)
+    panel[top : bottom + 1, 2 * gap : 2 * gap + strip] = colours(1 / np.linspace(2, 1, bottom - top + 1)[:, None], Range(1, 2))
+    texts = [(label, 3 * gap + strip, round(bottom - (bottom - top) * i / (TICKS - 1))) for i, label in enumerate(labels)]
+    texts += [(word, 2 * gap, bottom + round(1.6 * line * i)) for i, word in enumerate(words, 1)]
+    for text, x, y in texts:
+        cv2.putText(panel, text, (x, y + line // 2), cv2.FONT_HERSHEY_SIMPLEX, size, INK, thick, cv2.LINE_AA)
     return panel

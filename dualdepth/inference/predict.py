@@ -1,6 +1,6 @@
 """From images to disparities with trained weights."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -39,14 +39,20 @@ def load_depth_net(weights: str | Path) -> DepthNet:
     card = load_card(weights)
     try:
         architecture = Architecture.of_card({name: card[name] for name in Architecture.model_fields})  # a training's card has them all
-        size = _frame_size(card["hr_size"])
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(
-            f"{Path(weights).with_suffix('.json')}: names no network of this project ({error}); keep the card that was written with it"
-        ) from None
+        raise _foreign_card(weights, error) from None
     net = architecture.build()
     load_weights(weights, net, prefix="depth_net.")
-    return DepthNet(net.eval(), architecture, size)
+    return DepthNet(net.eval(), architecture, _frame_size(weights, card))
+
+
+def disparities_of(depth_net: DepthNet, images: Sequence[np.ndarray], device: str | torch.device) -> np.ndarray:
+    """Disparities of images (H, W, 3) uint8 RGB of any sizes, computed together by a network on `device`; see `predict_disparities`."""
+    frames = np.stack([resample(image, depth_net.hr_size) for image in images]).transpose(0, 3, 1, 2)
+    seen = to_unit(torch.from_numpy(np.ascontiguousarray(frames)).to(device))
+    if depth_net.architecture.sees_low_resolution:
+        seen = low_resolution(seen[:, None])[:, 0]
+    return depth_net.net(seen, scales=1).disparities[0][:, 0].float().cpu().numpy()
 
 
 @torch.inference_mode()
@@ -65,17 +71,13 @@ def predict_disparities(
     Returns:
         (N, h, w) float32, positive, of unknown scale.
     """
-    net, architecture, hr_size = depth_net
-    net = net.to(device)
+    depth_net.net.to(device)
     maps = []
     with tqdm(total=len(paths), desc="predicting", unit="image") as bar:
-        for batch in _batches(paths, batch_size):
-            frames = np.stack([resample(read(path), hr_size) for path in batch]).transpose(0, 3, 1, 2)
-            images = to_unit(torch.from_numpy(np.ascontiguousarray(frames)))
-            if architecture.sees_low_resolution:
-                images = low_resolution(images[:, None])[:, 0]
-            maps.append(net(images.to(device), scales=1).disparities[0][:, 0].float().cpu().numpy())
-            bar.update(len(batch))
+        for start in range(0, len(paths), batch_size):
+            images = [read(path) for path in paths[start : start + batch_size]]
+            maps.append(disparities_of(depth_net, images, device))
+            bar.update(len(images))
     return np.concatenate(maps)
 
 
@@ -92,15 +94,9 @@ def load_pose_net(weights: str | Path) -> PoseModel:
     Raises:
         InputError: the weights or their card cannot be read or do not fit.
     """
-    card, net = load_card(weights), PoseNet()
-    try:
-        size = _frame_size(card["hr_size"])
-    except (KeyError, ValueError) as error:
-        raise InputError(
-            f"{Path(weights).with_suffix('.json')}: names no frame size ({error}); keep the card that was written with it"
-        ) from None
-    load_weights(weights, net, prefix="pose_net.")
-    return PoseModel(net.eval(), size)
+    net = PoseNet()
+    card = load_weights(weights, net, prefix="pose_net.")
+    return PoseModel(net.eval(), _frame_size(weights, card))
 
 
 @torch.inference_mode()
@@ -138,12 +134,13 @@ def predict_poses(model: PoseModel, paths: Sequence[str | Path], *, device: str 
     return torch.cat(poses).numpy()
 
 
-def _frame_size(value: Any) -> tuple[int, int]:
-    match value:
+def _frame_size(weights: str | Path, card: dict[str, Any]) -> tuple[int, int]:
+    match card.get("hr_size"):
         case [int(height), int(width)] if min(height, width) >= 3 and height * width <= LARGEST_FRAME:
             return height, width
-    raise ValueError(f"hr_size {value!r} is no (height, width) in pixels")
+    raise _foreign_card(weights, f"hr_size {card.get('hr_size')!r} is no (height, width) in pixels")
 
 
-def _batches(paths: Sequence[str | Path], size: int) -> Iterable[Sequence[str | Path]]:
-    return (paths[i : i + size] for i in range(0, len(paths), size))
+def _foreign_card(weights: str | Path, reason: object) -> InputError:
+    card = Path(weights).with_suffix(".json")
+    return InputError(f"{card}: names no network of this project ({reason}); keep the card that was written with it")

@@ -1,9 +1,13 @@
-"""Which files are meant: in order, each once, without what is no image."""
+"""Which files are meant, in order and each once; names of results that do not clash and stay; and what is left to do."""
+
+import os
+import time
+from functools import partial
 
 import pytest
 
 from dualdepth.errors import InputError
-from dualdepth.inference.inputs import find_inputs
+from dualdepth.inference.inputs import LONGEST, STAMP, find_inputs, plan
 
 
 @pytest.fixture
@@ -40,3 +44,84 @@ def test_what_is_not_there_is_named(folder, given, said):
     (folder / "empty").mkdir()
     with pytest.raises(InputError, match=rf"^{given.replace('*', '.')}: {said}"):
         find_inputs([given])
+
+
+OPTIONS = {"weights": "w", "scale": "1.0"}
+
+
+@pytest.fixture
+def files(tmp_path):
+    """Three inputs of one stem, and a video."""
+    paths = [tmp_path / name for name in ("a/x.png", "a/x.jpg", "b/x.png", "b/y.avi")]
+    for path in paths:
+        path.parent.mkdir(exist_ok=True)
+        path.touch()
+    (tmp_path / "out").mkdir()
+    return paths
+
+
+@pytest.fixture
+def left(tmp_path):
+    """Kinds of results that are left to do of each input."""
+
+    def call(paths, kinds=("colour", "depth"), overwrite=False, make=False, **options):
+        tasks = plan(paths, tmp_path / "out", OPTIONS | options, kinds, overwrite)
+        time.sleep(0.02)  # the system's clock of files is a little behind
+        for path in [tmp_path / "out" / task.file(kind) for task in tasks for kind in task.kinds if make]:
+            path.parent.mkdir(exist_ok=True)
+            path.touch()
+        return [task.kinds for task in tasks]
+
+    return call
+
+
+@pytest.fixture
+def done(left):
+    """Does what a prediction does, with empty results."""
+    return partial(left, make=True)
+
+
+def test_files_of_one_stem_get_names_of_their_own_that_stay(files, tmp_path):
+    for paths in (files[:1], files, files[2::-1]):
+        tasks = plan(paths, tmp_path / "out", OPTIONS, None, False)
+        assert {task.path: task.name for task in tasks}.items() <= dict(zip(files, ("x", "x-2", "x-3", "y"))).items()
+
+
+def test_what_is_there_is_left_out_and_what_is_not_is_made(files, tmp_path, left, done):
+    done(files[:2])
+    assert left(files) == [(), (), ("colour", "depth"), ("colour", "depth")]
+    assert left(files[:1], ("depth", "npy")) == [("npy",)]
+    (tmp_path / "out" / "x.depth.png").unlink()
+    assert left(files[:2]) == [("depth",), ()]
+    assert left(files[1:2], overwrite=True) == [("colour", "depth")]
+    done(files[3:], ("side", "npy"))
+    assert left(files[3:], ("side", "npy", "ply")) == [("ply",)]
+    os.utime(files[1])
+    assert left(files[1:2]) == [("colour", "depth")]
+
+
+def test_other_options_make_all_again_also_what_a_later_run_asks_for(files, left, done, capsys):
+    done(files[:2])
+    assert left(files[:2]) == [(), ()] and not capsys.readouterr().out
+    done(files[:1], scale="2.0")
+    assert "made with other scale; they are made again" in capsys.readouterr().out
+    assert left(files[:2], scale="2.0") == [(), ("colour", "depth")] and not capsys.readouterr().out
+    assert left(files[:2]) == [("colour", "depth")] * 2
+
+
+@pytest.mark.parametrize("content", [b"[1]", b"\xff", b'{"options": {}, "since": null}'])
+def test_without_a_stamp_that_can_be_read_nothing_counts_as_done(files, tmp_path, left, done, content):
+    done(files[:1])
+    (tmp_path / "out" / STAMP).write_bytes(content)
+    assert left(files[:1]) == [("colour", "depth")]
+
+
+def test_names_of_any_length_and_letters_are_kept_below_what_file_systems_allow(tmp_path, left, done):
+    paths = [*(tmp_path / ("ü" * 110 + f"{i}.png") for i in range(2)), tmp_path / os.fsdecode(b"\xff.png")]
+    for path in paths:
+        path.touch()
+    names = [task.name for task in plan(paths, tmp_path, OPTIONS, None, False)]
+    assert len(set(names)) == 3
+    assert all(len(name.encode()) <= LONGEST + 2 for name in names) and all(name.startswith("üüü") for name in names[:2])
+    done(paths)
+    assert left(paths) == [()] * 3

@@ -8,9 +8,10 @@ import PIL.Image
 import pytest
 from small_kitti import wall
 
+from dualdepth.data.frames import Video
 from dualdepth.errors import InputError
-from dualdepth.inference.outputs import SUFFIXES, Camera, Style, png16, save
-from dualdepth.inference.pictures import SMALLEST, Range, colour_picture, colours, side_by_side
+from dualdepth.inference.outputs import SUFFIXES, WIDEST, Camera, Style, png16, save, write_video
+from dualdepth.inference.pictures import SMALLEST, Range, colours, picture
 
 STYLE = Style("Depth is relative. Learned by a 3×3 net.")
 
@@ -83,7 +84,7 @@ def test_near_is_bright_and_far_is_dark(depth):
 @pytest.mark.parametrize("size", [(1, 1), (16, 24), (375, 1242), (700, 301)])
 def test_pictures_hold_the_image_whole_beside_a_bar(size):
     depth, image = np.full(size, 3.0, np.float32), wall(*size)
-    alone, both = (draw(image, depth, Range.of(depth), "relative depth") for draw in (colour_picture, side_by_side))
+    alone, both = (picture(depth, Range.of(depth), "relative depth", left) for left in (None, image))
     assert alone.shape[0] == both.shape[0] == max(SMALLEST, size[0])
     assert both.shape[1] - alone.shape[1] == size[1]
     assert alone.shape[1] > size[1] + 20
@@ -99,4 +100,32 @@ def test_nothing_half_written_is_left(kind, tmp_path, depth, monkeypatch):
     monkeypatch.setattr("os.replace", fail)
     with pytest.raises(OSError, match="no space"):
         save(kind, tmp_path / f"d{SUFFIXES[kind]}", wall(40, 60), depth, STYLE)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("size", [(91, 161), (120, 320), (90, 161)])
+def test_a_video_that_is_written_can_be_read_again_whatever_its_size(tmp_path, size):
+    path = tmp_path / "o.mp4"
+    sent = [cv2.GaussianBlur(wall(*size, seed=i), (15, 15), 5) for i in range(5)]
+    write_video(path, 29.97, sent)
+    video = Video(path)
+    read = [frame for _, frame in video.frames()]
+    assert len(read) == 5
+    assert video.rate == pytest.approx(29.97, rel=1e-3)
+    assert read[0].shape == (size[0] + size[0] % 2, size[1] + size[1] % 2, 3)
+    assert np.abs(read[0][: size[0], : size[1]].astype(int) - sent[0]).mean() < 12
+
+
+def test_frames_too_wide_for_players_are_shrunk(tmp_path):
+    write_video(tmp_path / "o.mp4", 10, [np.zeros((100, 2 * WIDEST, 3), np.uint8)])
+    assert next(Video(tmp_path / "o.mp4").frames())[1].shape == (50, WIDEST, 3)
+
+
+def test_a_video_that_is_stopped_leaves_no_file(tmp_path):
+    def stopped():
+        yield np.zeros((90, 160, 3), np.uint8)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_video(tmp_path / "o.mp4", 10, stopped())
     assert not list(tmp_path.iterdir())

@@ -121,11 +121,11 @@ def test_what_sa_attention_does_is_read_from_the_card(save, changes):
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        *(({key: None}, f"'{key}'") for key in ("network", "encoder", "link", "similarity", "normalise", "hr_size")),
+        *(({key: None}, f"'{key}'") for key in ("network", "encoder", "link", "similarity", "normalise")),
         ({"network": "triple"}, "network: .*'lr', 'single', 'dual' or 'hr'"),
         ({"network": {"encoder": "resnet50", "hr_size": [192, 288]}}, "network: "),  # an older card
         ({"link": "wire"}, "link: "),
-        ({"hr_size": 192}, "hr_size 192 is no"),
+        *(({"hr_size": size}, f"hr_size {size} is no") for size in (None, 192)),
     ],
     ids=str,
 )
