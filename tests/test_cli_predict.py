@@ -218,11 +218,10 @@ def test_each_frame_has_files_where_they_are_asked_for_and_the_first_ones_say_th
     assert depths == sorted(depths, reverse=True)
 
 
-def test_a_video_that_ends_early_gives_what_it_has_and_says_so_each_time(clip, weights, tmp_path, capsys):
+def test_a_video_that_ends_early_gives_what_it_has_and_says_so(clip, weights, tmp_path, capsys):
     clip.write_bytes(b"00dc".join(clip.read_bytes().split(b"00dc")[:6]))  # before the fifth frame's end
-    for _ in range(2):
-        assert run(clip, "--weights", weights, "--out", tmp_path / "o") == 1
-        assert f"broken: {clip}: ends early: " in capsys.readouterr().err
+    assert run(clip, "--weights", weights, "--out", tmp_path / "o") == 1
+    assert f"broken: {clip}: ends early: " in capsys.readouterr().err
     assert (tmp_path / "o" / "clip.side.mp4").is_file()
 
 

@@ -117,8 +117,6 @@ class Predictor:
         self._save(first[0])
         self.made += 1
         if video.missing:
-            for kind in task.kinds:
-                os.utime(self.out / task.file(kind), (0, 0))  # so that the next run tries, and tells, again
             self._tell(f"{task.path}: {video.missing}, and its results hold those")
 
     def _predicted(self, items: Iterator[Item]) -> Iterator[Item]:
