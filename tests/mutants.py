@@ -2,8 +2,8 @@
 
     python -m tests.mutants [WORDS]    # all, or those whose description has the words
 
-`mutants.yaml` lists them: what a line is for, its file below `dualdepth/`, words that stand there once, what they become, and the test files
-below `tests/` of which one must fail.
+`mutants.yaml` lists them: what a line is for, its file below `dualdepth/`, words that stand there once, what they become, and the test
+files below `tests/` of which one must fail.
 """
 
 import os
