@@ -95,7 +95,7 @@ def test_every_kind_of_photo_becomes_depth_of_its_own_size(photos, weights, tmp_
     assert f"Depth is relative: its unit is unknown. Learned by {ABOUT}." in said
     assert "field of view 81.4 degrees by default" in said
     entries = stamp(out)
-    assert [os.path.basename(path) for path in entries["inputs"].values()] == sorted(set(os.listdir(photos)) - {"notes.txt"})
+    assert [os.path.basename(entry["path"]) for entry in entries["inputs"].values()] == sorted(set(os.listdir(photos)) - {"notes.txt"})
     assert list(entries["inputs"]) == ["a", "a-2", "b grey ü", "c deep", "d clear", "e turned"]
     assert ABOUT in entries["options"]["weights"] and entries["options"]["precision"] == "float32"
     sizes = {name: read(out, name).shape for name in entries["inputs"]}

@@ -16,7 +16,7 @@ def add_predict(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         help="depth of images, folders and videos with trained weights",
         description="Predict relative depth of images and videos of any size, at their own size. Depth is relative: its unit is unknown."
         " A broken file is named and skipped, and the exit code is then 1. The same command goes on where it was stopped: a"
-        " result that is newer than its input is kept, unless the weights or an option that shapes results have changed.",
+        " result is kept unless its input, the weights or an option that shapes results has changed since.",
     )
     parser.add_argument("inputs", nargs="+", metavar="INPUT", help="image, video, folder of them, or pattern in quotes ('in/**/*.jpg')")
     parser.add_argument(

@@ -1,6 +1,6 @@
 """The images and videos that are meant by files, folders and patterns, and what is left to do for each, by make's rule.
 
-A result is kept if it is newer than its input, and than the time since which all options are the same.
+A result is kept if it is newer than the time since which its input and all options are the same.
 """
 
 import glob
@@ -18,7 +18,8 @@ from dualdepth.inference.outputs import ENDINGS, SIDE_VIDEO, SUFFIXES
 
 VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
 STAMP = "predictions.json"
-"""In the folder of results: the options that shaped them, since when (ns) these are the same, and the name of each input's results."""
+"""In the folder of results: the options that shaped them and since when (ns) these are the same; and, by the name of its results, each
+input's path, its own time (ns) and since when it has that. An input replaced by an older file so counts as changed."""
 LONGEST = 120
 """Bytes of a result's name before its ending; file systems allow 255, and a temporary name is longer."""
 DEFAULT_KINDS = {False: ("colour", "depth"), True: ("side",)}
@@ -93,28 +94,32 @@ def plan(paths: Sequence[Path], out: Path, options: dict[str, str], kinds: Seque
     tasks = []
     for path in paths:
         task = Task(path, _name(path, inputs))
-        latest = max(since, _changed(path))
+        entry, changed = inputs[task.name], _changed(path)
+        if entry["changed"] != changed:
+            entry |= {"changed": changed, "since": time.time_ns()}
+        latest = max(since, entry["since"])
         wanted = kinds or DEFAULT_KINDS[task.video]
         tasks.append(task._replace(kinds=tuple(kind for kind in wanted if overwrite or _changed(out / task.file(kind)) <= latest)))
     write_text(out / STAMP, json.dumps({"options": options, "since": since, "inputs": inputs}, indent=1) + "\n")
     return tasks
 
 
-def _read_stamp(path: Path) -> tuple[dict[str, str], int, dict[str, str]]:
+def _read_stamp(path: Path) -> tuple[dict[str, str], int, dict[str, dict[str, Any]]]:
     """Options, since when, and inputs by the names of their results; nothing where there is no stamp that can be read."""
     try:
         stamp: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        return dict(stamp["options"]), int(stamp["since"]), dict(stamp["inputs"])
-    except (OSError, ValueError, TypeError, KeyError):
+        inputs = {name: {key: entry[key] for key in ("path", "changed", "since")} for name, entry in stamp["inputs"].items()}
+        return dict(stamp["options"]), int(stamp["since"]), inputs
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return {}, 0, {}
 
 
-def _name(path: Path, inputs: dict[str, str]) -> str:
+def _name(path: Path, inputs: dict[str, dict[str, Any]]) -> str:
     """The name of a file's results: its stem, with -2, -3, … where another file has that already. It is added to `inputs`."""
     stem = path.stem.encode("utf-8", "surrogateescape")[:LONGEST].decode("utf-8", "ignore")
     for number in itertools.count(1):
         name = stem if number == 1 else f"{stem}-{number}"
-        if inputs.setdefault(name, str(path.absolute())) == str(path.absolute()):
+        if inputs.setdefault(name, {"path": str(path.absolute()), "changed": -1, "since": 0})["path"] == str(path.absolute()):
             return name
 
 

@@ -96,8 +96,10 @@ def test_what_is_there_is_left_out_and_what_is_not_is_made(files, tmp_path, left
     assert left(files[1:2], overwrite=True) == [("colour", "depth")]
     done(files[3:], ("side", "npy"))
     assert left(files[3:], ("side", "npy", "ply")) == [("ply",)]
-    os.utime(files[1])
-    assert left(files[1:2]) == [("colour", "depth")]
+    for when in (None, (1e9, 1e9), (4e9, 4e9)):  # replaced by another, by an older one, by one of a clock that is ahead
+        os.utime(files[1], when)
+        assert left(files[1:2]) == [("colour", "depth")] == done(files[1:2])
+        assert left(files[1:2]) == [()]
 
 
 def test_other_options_make_all_again_also_what_a_later_run_asks_for(files, left, done, capsys):
