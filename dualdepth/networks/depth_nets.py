@@ -11,6 +11,9 @@ from dualdepth.networks.encoders import make_encoder
 
 HR_WIDTHS = (32, 64, 128, 128, 128)
 """HR-Net's channels at strides 2, 4, 8, 16, 32: a declared reconstruction, fitted like the decoder's to the paper's overhead table."""
+RESIDUAL_FLOOR = -7.0
+"""Lowest logit of LR-Net that a residual is added to. Below it the sigmoid gives hardly a gradient (at −11 a thirtieth of that at −7), so
+that HR-Net could not bring nearer what LR-Net took for infinitely far (docs/learning.md, "Stage 2")."""
 
 
 class LRNet(nn.Module):
@@ -79,7 +82,8 @@ class DualNet(nn.Module):
         lr_net: of stage 1; its parameters are frozen here.
         link: what HR-Net receives, see `Design`.
         similarity, normalise: of SA-Attention.
-        residual: beyond the paper, HR-Net's logits are added to LR-Net's, enlarged, so that it begins with LR-Net's depth.
+        residual: beyond the paper, HR-Net's logits are added to LR-Net's, enlarged and not below `RESIDUAL_FLOOR`, so that it begins with LR-Net's
+            depth.
     """
 
     def __init__(
@@ -127,7 +131,8 @@ class DualNet(nn.Module):
         with torch.no_grad():
             low_output = self.lr_net.decoder(maps)
         if self.residual:
-            start = (F.interpolate(low_output.logits[0], x.shape[-2:], mode="bilinear", align_corners=False) for x in output.logits)
+            floored = low_output.logits[0].clamp(min=RESIDUAL_FLOOR)
+            start = (F.interpolate(floored, x.shape[-2:], mode="bilinear", align_corners=False) for x in output.logits)
             output = output._replace(logits=[x + s for x, s in zip(output.logits, start)])
         return (output, low_output) if with_lr_depth else output
 

@@ -11,7 +11,7 @@ from torch.nn import functional as F
 from dualdepth.evaluation.cost import count
 from dualdepth.networks import Link
 from dualdepth.networks.attention import STARTING_RMS, SelfAssembledAttention
-from dualdepth.networks.depth_nets import HR_WIDTHS, DualNet, HREncoder, HRNet, LRNet
+from dualdepth.networks.depth_nets import HR_WIDTHS, RESIDUAL_FLOOR, DualNet, HREncoder, HRNet, LRNet
 
 SMALL, SIZE = (64, 96), (192, 288)
 GLOBAL = 16
@@ -309,18 +309,21 @@ def test_under_bfloat16_features_stay_narrow_and_disparities_are_float32_and_fin
     assert net.attention.scale.dtype == torch.float32
 
 
-def test_a_residual_begins_with_lr_nets_depth_enlarged(encoder):
+def test_a_residual_begins_with_lr_nets_depth_enlarged_above_the_floor(encoder):
     torch.manual_seed(0)
     lr_net = with_heads(LRNet(encoder))
+    for head in lr_net.decoder.heads:
+        nn.init.constant_(head.bias, RESIDUAL_FLOOR)
     net = DualNet(lr_net, residual=True)
     net.begin(image(items=2))
     with torch.inference_mode():
         high, low = net(image(), with_lr_depth=True)
         fewer = net(image(), 1)
+    assert low.logits[0].std() > 0.1 and 0.1 < (low.logits[0] < RESIDUAL_FLOOR).float().mean() < 0.9
+    floored = low.logits[0].clamp(min=RESIDUAL_FLOOR)
     for scale, found in enumerate(high.logits):
         size = (SIZE[0] >> scale, SIZE[1] >> scale)
-        assert torch.equal(found, F.interpolate(low.logits[0], size, mode="bilinear", align_corners=False))
-    assert low.logits[0].std() > 0.1
+        assert torch.equal(found, F.interpolate(floored, size, mode="bilinear", align_corners=False))
     assert torch.equal(fewer.logits[0], high.logits[0])
     with_heads(net.hr_net)
     with torch.inference_mode():
