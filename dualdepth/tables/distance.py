@@ -37,5 +37,7 @@ def distance_claims(scores: Scores) -> pd.DataFrame:
     near, far = PARTS
     dual = ("dual", "dual_no_sa")
     rows = [row for part in PARTS for variant in dual for row in paired(scores, variant, "lr", part=part)]
-    rows += [row for variant in dual for relative in (False, True) for row in gains(scores, (variant, "lr"), (far, near), relative=relative)]
+    rows += [
+        row for variant in dual for relative in (False, True) for row in gains(scores, (variant, "lr"), (far, near), relative=relative)
+    ]
     return comparisons(rows)

@@ -80,6 +80,6 @@ def main_table(run: Run, scores: Scores) -> pd.DataFrame:
     return with_paper("main", [row | {"dataset": dataset} for row in rows]).drop(columns="variant")
 
 
-def main_claims(run: Run, scores: Scores) -> pd.DataFrame:
+def main_claims(scores: Scores) -> pd.DataFrame:
     """Each training against each baseline without learning, paired image by image."""
     return comparisons(row for variant in ("lr", "dual") for name in BASELINES for row in paired(scores, variant, name))

@@ -105,7 +105,9 @@ def make3d_scores(run: Run, seeds: Sequence[int]) -> Scores:
     untrained = {}
     for seed in seeds:
         net = untrained_net(run, seed)
-        untrained[UNTRAINED, seed] = by_convention(lambda c, net=net: evaluate_make3d(predict_photos(net, photos.pairs, c), photos.grids, c))
+        untrained[UNTRAINED, seed] = by_convention(
+            lambda c, net=net: evaluate_make3d(predict_photos(net, photos.pairs, c), photos.grids, c)
+        )
     scores = scores._replace(frame=pd.concat([scores.frame, pd.concat(untrained, names=["variant", "seed"])]))
     scores = scores.plus(CONSTANT, by_convention(lambda _: _score_constant(1.0, photos, median_scaling=True)))
     if (depth := training_mean(run)) is not None:

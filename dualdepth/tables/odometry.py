@@ -195,7 +195,9 @@ def odometry_claims(scores: OdometryScores) -> pd.DataFrame:
     for sequence in scores.names:
         for a, b in pairs:
             place = f"sequence {sequence}"
-            rows.append({"of": place, "a": a, "b": b, "metric": "t_err"} | _t_errs(*(scores.paths.of(v, f"{sequence}, 7dof") for v in (a, b))))
+            rows.append(
+                {"of": place, "a": a, "b": b, "metric": "t_err"} | _t_errs(*(scores.paths.of(v, f"{sequence}, 7dof") for v in (a, b)))
+            )
             for row in paired(scores.snippets, a, b, ["ate"], part=f"{sequence}, 3 frames", block=BLOCK, of=place):
                 rows.append(row | {"metric": "snippet_ate_3", "in_words": row.get("in_words", "").replace("images", "snippets")})
     return comparisons(rows)

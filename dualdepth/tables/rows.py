@@ -42,7 +42,10 @@ def training_row(scores: Scores, variant: str, metrics: Iterable[str] = METRICS,
     if variant in scores.missing:
         return {"variant": variant, **not_run(scores.missing[variant])}
     trainings, values = scores.trainings[variant], over_seeds(scores.of(variant, part), metrics)
-    said = {"note": ", ".join(filter(None, [trainings[0].describe(), note])), "leak": check_leak(trainings[0].card, scores.drives, allow=True)}
+    said = {
+        "note": ", ".join(filter(None, [trainings[0].describe(), note])),
+        "leak": check_leak(trainings[0].card, scores.drives, allow=True),
+    }
     return {"variant": variant, **values, "seeds": seed_label(t.seed for t in trainings), "source": MEASURED, **said}
 
 
@@ -58,7 +61,7 @@ def with_paper(name: str, rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
     table = table.reindex(columns=[*(c for c in table if c not in words), *words])
     if "n" in table:
         table["n"] = table["n"].astype("Int64")
-    return table.fillna(dict.fromkeys(words, ""))
+    return _with_words(table, words)
 
 
 def paired(
@@ -94,7 +97,11 @@ def gains(scores: Scores, pair: tuple[str, str], parts: Sequence[str], *, relati
     shared = found[0].index.intersection(found[1].index)
     first, second = (gain.loc[shared].to_numpy().T for gain in found)
     name = "relative gain" if relative else "gain"
-    place = {"of": " against ".join(parts), **{side: f"{name} of {pair[0]}, {part}" for side, part in zip("ab", parts)}, "metric": "abs_rel"}
+    place = {
+        "of": " against ".join(parts),
+        **{side: f"{name} of {pair[0]}, {part}" for side, part in zip("ab", parts)},
+        "metric": "abs_rel",
+    }
     return [place | compared(first, second, lower_is_better=False)]
 
 
@@ -110,8 +117,13 @@ def compared(a: np.ndarray, b: np.ndarray, *, lower_is_better: bool, block: int 
 
 def comparisons(rows: Iterable[dict[str, Any]], *more: str) -> pd.DataFrame:
     """The table of comparisons; `more` columns stand behind `of`."""
-    columns = [COMPARISON[0], *more, *COMPARISON[1:]]
-    return pd.DataFrame(list(rows), columns=columns).fillna(dict.fromkeys(("of", *more, "metric", "better", "in_words", "reason"), ""))
+    table = pd.DataFrame(list(rows), columns=[COMPARISON[0], *more, *COMPARISON[1:]])
+    return _with_words(table, ["of", *more, "metric", "better", "in_words", "reason"])
+
+
+def _with_words(table: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:
+    """The table with empty text where one of these columns has nothing."""
+    return table.astype(dict.fromkeys(columns, object)).fillna(dict.fromkeys(columns, ""))
 
 
 def _why_not(scores: Scores, a: str, b: str) -> str:
@@ -165,6 +177,6 @@ def show(table: pd.DataFrame, digits: int = 3) -> None:
 def tell(comparisons: pd.DataFrame) -> None:
     """Print a table of comparisons, a line each."""
     for row in comparisons.itertuples():
-        place = " ".join(filter(None, [row.of, f"seed {row.seed}" if "seed" in comparisons else ""]))
+        place = " ".join(filter(None, [row.of, f"seed {row.seed}" if getattr(row, "seed", "") else ""]))
         said = row.in_words if not row.reason else f"not compared: {row.reason}"
         print(f"{place + ': ' * bool(place)}{row.a} against {row.b}{', ' * bool(row.metric)}{row.metric}: {said}")

@@ -94,7 +94,7 @@ def scored(run: Run) -> Scored:
 
 
 class Trained:
-    """A training as it is scored: its card, predictions and scores. What is computed is kept beside its weights, and reused while it fits."""
+    """A training as it is scored: its card, predictions and scores. What is computed is kept beside the weights while it fits them."""
 
     def __init__(self, run: Run, variant: str, seed: int) -> None:
         self.run, self.variant, self.seed = run, variant, seed
