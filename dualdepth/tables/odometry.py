@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -33,43 +33,20 @@ BLOCK = 50
 """Snippets that are drawn together: five seconds, in which a car's motion is much the same."""
 
 
-class OdometryScores(NamedTuple):
-    """Scores of the PoseNets and of the controls."""
-
-    snippets: Scores
-    """Parts such as "09, 3 frames"."""
-    paths: Scores
-    """Of whole trajectories, parts such as "09, 7dof"."""
-
-    @property
-    def names(self) -> list[str]:
-        """Sequences that are scored."""
-        return list(dict.fromkeys(part.split(",")[0] for part in self.paths.frame.index.unique("part"))) if len(self.paths.frame) else []
-
-    @property
-    def trainings(self) -> list[list[Trained]]:
-        """Those that are scored, each with its seeds."""
-        return list(self.snippets.trainings.values())
-
-
-def odometry_scores(run: Run, seeds: Sequence[int]) -> OdometryScores:
-    """Scores of both stages' PoseNets along the test sequences, and of the controls."""
+def odometry_scores(run: Run, seeds: Sequence[int]) -> Scores:
+    """Scores of both stages' PoseNets along the test sequences, and of the controls; parts as of `follow`."""
     entries, reason = tuple(sequences(run)), ""
     if Sources.load(run).odometry_root is None:
         reason = NO_SEQUENCES
     elif not entries:
         reason = f"profile {run.profile.name} scores no sequence"
-    found = []
-    for part in ("snippets", "paths"):
-        options = {"reason": reason, "drives": scored_drives(run, entries)}
-        scores = collect(run, run.profile.pose_variants, seeds, lambda t, part=part: getattr(follow(t, entries), part), **options)
-        for name in CONTROLS:
-            if reason:
-                scores = scores._replace(missing=scores.missing | {name: reason})
-            else:
-                scores = scores.plus(name, getattr(follow_control(run, name, entries), part))
-        found.append(scores)
-    return OdometryScores(*found)
+    drives = scored_drives(run, entries)
+    scores = collect(run, run.profile.pose_variants, seeds, lambda t: follow(t, entries), reason=reason, drives=drives)
+    if reason:
+        return scores._replace(missing=scores.missing | dict.fromkeys(CONTROLS, reason))
+    for name in CONTROLS:
+        scores = scores.plus(name, follow_control(run, name, entries))
+    return scores
 
 
 def sequences(run: Run) -> list[str]:
@@ -77,9 +54,14 @@ def sequences(run: Run) -> list[str]:
     return run.profile.odometry_sequences()[1] if set(run.profile.pose_variants) & set(run.profile.train) else []
 
 
-def made_from(run: Run, scores: OdometryScores) -> list[Path]:
+def names(run: Run) -> list[str]:
+    """Their names in tables."""
+    return [sequence_of(entry)[0] for entry in sequences(run)]
+
+
+def made_from(run: Run, scores: Scores) -> list[Path]:
     """What the odometry table is made from, for its stamp: weights and true poses."""
-    weights = [training.weights for of_seeds in scores.trainings for training in of_seeds]
+    weights = [training.weights for of_seeds in scores.trainings.values() for training in of_seeds]
     return weights + [poses_path(Sources.load(run).odometry_root, entry) for entry in sequences(run)] if weights else []
 
 
@@ -88,7 +70,7 @@ def _methods(run: Run) -> dict[str, str]:
     return dict(zip(run.profile.pose_variants, labels)) | CONTROLS
 
 
-def odometry_table(run: Run, scores: OdometryScores) -> pd.DataFrame:
+def odometry_table(run: Run, scores: Scores) -> pd.DataFrame:
     """The paper's rows, then ours and the controls, once for each snippet length (`frames`, the paper's column "#").
 
     Returns:
@@ -99,68 +81,68 @@ def odometry_table(run: Run, scores: OdometryScores) -> pd.DataFrame:
     for length in LENGTHS:
         for name, method in _methods(run).items():
             row = {"method": method, "frames": length}
-            if name in scores.snippets.missing:
-                rows.append(row | not_run(scores.snippets.missing[name]))
+            if name in scores.missing:
+                rows.append(row | not_run(scores.missing[name]))
             else:
-                rows.append(row | _numbers(scores, name, length) | _words(run, scores, name, length))
+                rows.append(row | _numbers(run, scores, name, length) | _words(run, scores, name, length))
     return with_paper("odometry", rows)
 
 
-def _numbers(scores: OdometryScores, name: str, length: int) -> dict[str, Any]:
+def _numbers(run: Run, scores: Scores, name: str, length: int) -> dict[str, Any]:
     row: dict[str, Any] = {}
-    for sequence in scores.names:
-        frame = scores.snippets.of(name, f"{sequence}, {length} frames")
+    for sequence in names(run):
+        frame = scores.of(name, f"{sequence}, {length} frames")
         means, spread = over_seeds(frame, ("ate", "rmse")), frame["ate"].groupby(level="seed").std(ddof=0)
         row |= {f"snippet_ate_mean_{sequence}": means["ate"], f"snippet_ate_mean_{sequence}_std": means["ate_std"]}
         row |= {f"snippet_ate_std_{sequence}": spread.mean(), f"snippet_ate_std_{sequence}_std": spread.std()}
         row |= {f"snippet_rmse_{sequence}": means["rmse"], f"snippet_rmse_{sequence}_std": means["rmse_std"]}
-        path = over_seeds(scores.paths.of(name, f"{sequence}, 7dof"), TRAJECTORY)
+        path = over_seeds(scores.of(name, f"{sequence}, 7dof"), TRAJECTORY)
         row |= {f"{metric}_{sequence}{end}": path[f"{metric}{end}"] for metric in TRAJECTORY for end in ("", "_std")}
         row[f"n_{sequence}"] = means["n"]
-    return row | {"n": sum(row[f"n_{sequence}"] for sequence in scores.names)}
+    return row | {"n": sum(row[f"n_{sequence}"] for sequence in names(run))}
 
 
-def _words(run: Run, scores: OdometryScores, name: str, length: int) -> dict[str, Any]:
+def _words(run: Run, scores: Scores, name: str, length: int) -> dict[str, Any]:
     if name in CONTROLS:
         mean = f"the mean step of sequences {' '.join(known_sequences(run))}, never turning"
         meant = {"constant": mean, "straight": "a metre a frame along the optical axis", "inverted": "a mistake that snippets hardly see"}
         return {"source": MEASURED, "note": f"control: {meant[name]}"}
     cut = "each from one output of PoseNet" if length == 3 else "cut from the trajectory"
     train = [] if run.profile.world else [f"sequences {' '.join(run.profile.odometry_sequences()[0])}"]
-    row = training_row(scores.snippets, name, (), note=", ".join([*train, f"snippets of {length} frames, {cut}"]))
+    row = training_row(scores, name, (), note=", ".join([*train, f"snippets of {length} frames, {cut}"]))
     return {key: value for key, value in row.items() if key != "n"}
 
 
-def trajectory_table(run: Run, scores: OdometryScores) -> pd.DataFrame:
+def trajectory_table(run: Run, scores: Scores) -> pd.DataFrame:
     """Errors of the whole trajectories for every alignment: rows per method, sequence and alignment, means and spread over seeds."""
     rows = []
     for name, method in _methods(run).items():
-        if name in scores.paths.missing:
-            rows.append({"method": method} | not_run(scores.paths.missing[name]))
+        if name in scores.missing:
+            rows.append({"method": method} | not_run(scores.missing[name]))
             continue
-        for sequence in scores.names:
+        for sequence in names(run):
             for how in ALIGNMENTS:
-                part = f"{sequence}, {how}"
-                segments = int(scores.paths.of(name, part)["segments"].iloc[0])
-                row = {"method": method, "sequence": sequence, "align": how, **over_seeds(scores.paths.of(name, part), TRAJECTORY)}
-                trained = training_row(scores.paths, name, ()) if name not in CONTROLS else {"source": MEASURED}
+                frame = scores.of(name, f"{sequence}, {how}")
+                segments = int(frame["segments"].iloc[0])
+                row = {"method": method, "sequence": sequence, "align": how, **over_seeds(frame, TRAJECTORY)}
+                trained = training_row(scores, name, ()) if name not in CONTROLS else {"source": MEASURED}
                 note = "" if segments else "no segment of 100 m: the path is too short"
                 rows.append(row | trained | {"segments": segments, "note": note})
     columns = ["method", "sequence", "align", *TRAJECTORY, "segments", "seeds", "source", "note", "reason", "leak"]
     return pd.DataFrame(rows).reindex(columns=[*columns, *(f"{m}_std" for m in TRAJECTORY)])
 
 
-def motion_table(run: Run, scores: OdometryScores) -> pd.DataFrame:
+def motion_table(run: Run, scores: Scores) -> pd.DataFrame:
     """Predicted against true motion, frame by frame: slope and correlation of yaw and of the forward step, means over seeds.
 
     A slope of 1 is right, 0 is a PoseNet that does not turn. `yaw_mean_error` is predicted less true yaw, degrees a frame,
     to the right: trajectories add it up. Predicted steps have no unit: they are first divided by the mean ratio.
     """
     rows = []
-    for of_seeds in scores.trainings:
+    for variant, of_seeds in scores.trainings.items():
         for entry in sequences(run):
             fits = pd.DataFrame([_fit(*motions(training, entry)) for training in of_seeds]).mean().to_dict()
-            row = {"method": _methods(run)[of_seeds[0].variant], "variant": of_seeds[0].variant, "sequence": sequence_of(entry)[0]}
+            row = {"method": _methods(run)[variant], "variant": variant, "sequence": sequence_of(entry)[0]}
             rows.append(row | fits | {"seeds": seed_label(t.seed for t in of_seeds), "source": MEASURED})
     columns = ["method", "variant", "sequence", "yaw_slope", "yaw_correlation", "yaw_mean_error", "step_slope", "step_correlation"]
     return pd.DataFrame(rows, columns=[*columns, "n", "seeds", "source"])
@@ -183,22 +165,20 @@ def _fit(truth: np.ndarray, ours: np.ndarray) -> dict[str, float]:
     return values | {"yaw_mean_error": (ours - truth)[:, 0].mean(), "n": len(truth)}
 
 
-def odometry_claims(scores: OdometryScores) -> pd.DataFrame:
+def odometry_claims(run: Run, scores: Scores) -> pd.DataFrame:
     """PoseNet against each control: t_err of the 7dof-aligned trajectory, and snippets of 3 frames paired; stage 2 against stage 1.
 
     Snippets depend on their neighbours, so their intervals are of runs of `BLOCK`. t_err is one number a seed: it is said how many
     seeds beat a control.
     """
     rows: list[dict[str, Any]] = []
-    trained = list(scores.snippets.trainings)
+    trained = list(scores.trainings)
     pairs = [(name, control) for name in trained for control in CONTROLS] + ([(trained[1], trained[0])] if len(trained) == 2 else [])
-    for sequence in scores.names:
+    for sequence in names(run) if trained else ():
         for a, b in pairs:
             place = f"sequence {sequence}"
-            rows.append(
-                {"of": place, "a": a, "b": b, "metric": "t_err"} | _t_errs(*(scores.paths.of(v, f"{sequence}, 7dof") for v in (a, b)))
-            )
-            for row in paired(scores.snippets, a, b, ["ate"], part=f"{sequence}, 3 frames", block=BLOCK, of=place):
+            rows.append({"of": place, "a": a, "b": b, "metric": "t_err"} | _t_errs(*(scores.of(v, f"{sequence}, 7dof") for v in (a, b))))
+            for row in paired(scores, a, b, ["ate"], part=f"{sequence}, 3 frames", block=BLOCK, of=place):
                 rows.append(row | {"metric": "snippet_ate_3", "in_words": row.get("in_words", "").replace("images", "snippets")})
     return comparisons(rows)
 
@@ -217,11 +197,11 @@ def _t_errs(a: pd.DataFrame, b: pd.DataFrame) -> dict[str, Any]:
     return means | {"n": segments, "better": "lower", "in_words": words if mean else "the same"}
 
 
-def paths(run: Run, scores: OdometryScores, entry: str) -> dict[str, np.ndarray]:
+def paths(run: Run, scores: Scores, entry: str) -> dict[str, np.ndarray]:
     """Positions (N, 3) in metres for a plot, laid on the truth with 7dof: the truth and the first seed's of each training."""
     truth = true_trajectory(run, entry).poses
     shown = {"Ground truth": relative(truth)[:, :3, 3]}
-    for of_seeds in scores.trainings:
+    for of_seeds in scores.trainings.values():
         poses = read_trajectory(trajectory_file(of_seeds[0], entry)).poses
         shown[of_seeds[0].label] = aligned(poses, truth)[:, :3, 3]
     return shown

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -24,15 +23,6 @@ LENGTHS = (3, 5)
 CONTROLS = {"constant": "Constant velocity", "straight": "Straight ahead", "inverted": "Ground truth, every pose inverted"}
 """What needs no learning, or is plainly wrong."""
 NO_SEQUENCES = "no ODOMETRY_ROOT; get it with python data_scripts/download_kitti.py --root DIR --odometry"
-
-
-class Followed(NamedTuple):
-    """How well a trajectory follows the test sequences."""
-
-    snippets: pd.DataFrame
-    """`ate` and `rmse` of each snippet in metres, by (image, part): its number, and such as "09, 3 frames"."""
-    paths: pd.DataFrame
-    """t_err, r_err, ate, rpe_t, rpe_r, segments of the whole trajectory, by (image, part): 0, and such as "09, 7dof"."""
 
 
 def chain(motions: np.ndarray) -> np.ndarray:
@@ -112,27 +102,31 @@ def trajectory_file(training: Trained, entry: str) -> Path:
 
 
 @lru_cache(maxsize=64)
-def follow(training: Trained, entries: tuple[str, ...]) -> Followed:
-    """Score a training's PoseNet on test sequences, and write its trajectories to `results/<profile>/trajectories`."""
+def follow(training: Trained, entries: tuple[str, ...]) -> pd.DataFrame:
+    """Score a training's PoseNet on test sequences, and write its trajectories to `results/<profile>/trajectories`.
+
+    Returns:
+        Rows by (image, part): of parts such as "09, 3 frames" each snippet's `ate` and `rmse` in metres; of parts such as "09, 7dof", image
+        0, what `trajectory_errors` says of the whole trajectory.
+    """
     found = []
     for entry in entries:
         motions, truth = predicted_motions(training, entry), true_trajectory(training.run, entry)
         poses = chain(motions)
         write_trajectory(trajectory_file(training, entry), poses)
         found.append(_score(entry, truth, poses, {3: triplet_snippets(motions)}))
-    return _joined(found)
+    return pd.concat(found)
 
 
-@lru_cache(maxsize=64)
-def follow_control(run: Run, name: str, entries: tuple[str, ...]) -> Followed:
-    """Score one of `CONTROLS` on test sequences."""
+def follow_control(run: Run, name: str, entries: Sequence[str]) -> pd.DataFrame:
+    """Scores of one of `CONTROLS` on test sequences, as of `follow`."""
     found = []
     for entry in entries:
         truth = true_trajectory(run, entry)
         # the field stores snippets, each in its first frame's axes: there the mistake is made
         cut = {n: odometry.inverted(snippets(truth.poses, n)) for n in LENGTHS if n <= len(truth.poses)} if name == "inverted" else {}
         found.append(_score(entry, truth, control_poses(run, name, truth), cut))
-    return _joined(found)
+    return pd.concat(found)
 
 
 def control_poses(run: Run, name: str, truth: Trajectory) -> np.ndarray:
@@ -162,17 +156,13 @@ def known_sequences(run: Run) -> list[str]:
     return known
 
 
-def _score(entry: str, truth: Trajectory, poses: np.ndarray, given: dict[int, np.ndarray]) -> Followed:
+def _score(entry: str, truth: Trajectory, poses: np.ndarray, given: dict[int, np.ndarray]) -> pd.DataFrame:
     """Scores of a trajectory along one sequence; `given` has snippets that are not cut from it."""
     cut = {length: snippets(poses, length) for length in LENGTHS if length <= len(poses)} | given
     prediction, name = truth._replace(poses=poses), sequence_of(entry)[0]
-    errors = {f"{name}, {length} frames": snippet_errors(snippets(truth.poses, length), found) for length, found in cut.items()}
-    paths = {f"{name}, {how}": pd.DataFrame([trajectory_errors(truth, prediction, how)]) for how in ALIGNMENTS}
-    return Followed(*(pd.concat(frames, names=["part", "image"]).swaplevel() for frames in (errors, paths)))
-
-
-def _joined(found: Sequence[Followed]) -> Followed:
-    return Followed(pd.concat([f.snippets for f in found]), pd.concat([f.paths for f in found]))
+    found = {f"{name}, {length} frames": snippet_errors(snippets(truth.poses, length), ours) for length, ours in cut.items()}
+    found |= {f"{name}, {how}": pd.DataFrame([trajectory_errors(truth, prediction, how)]) for how in ALIGNMENTS}
+    return pd.concat(found, names=["part", "image"]).swaplevel()
 
 
 def _root(run: Run) -> Path:
