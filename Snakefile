@@ -181,7 +181,7 @@ rule report:
             "14_report",
             "report",
             **SHARED | {"setting": SHARED["setting"] | run_.profile.values("verdicts", "training.loss")},
-            files={name: file_digest(PACKAGE / name) for name in ("report.html.j2", "assumptions.yaml")} | DRAWING,
+            files={name: file_digest(PACKAGE / name) for name in ("report.html.j2", "report.yaml", "assumptions.yaml")} | DRAWING,
         ),
     shell:
         "dualdepth notebook 14_report --out {output.notebook} --set profile={PROFILE:q}"

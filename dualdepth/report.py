@@ -18,31 +18,14 @@ from dualdepth.staleness import PACKAGE
 from dualdepth.tables.claims import NOT_RUN, RULES, compare_numbers, judge_claims
 from dualdepth.tables.rows import readable
 
-TITLES = {
-    "main": "Depth on the Eigen split",
-    "make3d": "Make3D",
-    "ablation": "Ablation",
-    "distance": "Near and far",
-    "sharpness": "Sharpness",
-    "sa_region": "Regions of SA-Attention",
-    "backbone": "Backbones and their cost",
-    "odometry": "Odometry",
-}
+_WORDS = yaml.safe_load((PACKAGE / "report.yaml").read_text(encoding="utf-8"))
+TITLES: dict[str, str] = _WORDS["titles"]
+"""Titles of the tables, by name."""
 FIRST_LOOK = "side_by_side"
 """The picture to look at first."""
-CAPTIONS = {
-    "main_depth": "Frames, laser depth, predicted depth and relative error.",
-    "ablation_depth": "Depth of the ablation's networks.",
-    "distance_errors": "Relative errors of the laser points beyond 20 m, enlarged.",
-    "sharpness_boundaries": "Depth boundaries, enlarged.",
-    "backbone_cost": "Parameters and operations.",
-    "side_by_side": "Depth of both networks beside the interpolated laser depth.",
-    "slim_objects": "Slim objects, enlarged.",
-    "make3d": "Make3D photos, predicted depth, laser grid and relative error.",
-    "odometry_trajectories": "Trajectories from above, laid on the truth with 7dof.",
-    "odometry_motions": "Predicted against true yaw and forward step, frame by frame.",
-    "sa_region": "Regions, and the relative error without and with SA-Attention.",
-}
+CAPTIONS: dict[str, str] = _WORDS["captions"]
+FIGURE_OF = {"make3d": "make3d", "odometry_trajectories": "odometry", "odometry_motions": "odometry", "sa_region": "sa_region"}
+"""Figures that are of one table, and left from an earlier run where that was not run."""
 
 
 class Report(NamedTuple):
@@ -70,21 +53,6 @@ class Report(NamedTuple):
     """Of the networks, as SVG; empty where the checkout has no docs."""
 
 
-UNSCORED_CAPTIONS = {
-    "main_depth": "Held-out frames and their predicted depth; its scale is unknown, each map's median is shown as 10.",
-    "side_by_side": "Depth of both networks in held-out frames; its scale is unknown, each map's median is shown as 10.",
-    "sharpness_boundaries": "Depth boundaries by the mean of all predictions, enlarged.",
-}
-"""Where there is no ground truth."""
-FIGURE_OF = {"make3d": "make3d", "odometry_trajectories": "odometry", "odometry_motions": "odometry", "sa_region": "sa_region"}
-"""Figures that are of one table, and left from an earlier run where that was not run."""
-CAUTIONS = {
-    "none": "nothing here is judged: the networks were trained for a few steps, to show that everything runs.",
-    "directions": "only the direction of each claim is judged, not its size.",
-    "numbers": "",
-}
-
-
 def assumptions(loss: Loss) -> list[tuple[str, str, str]]:
     """(topic, choice, why) of `dualdepth/assumptions.yaml`, with the loss weights of a run."""
     rows = yaml.safe_load((PACKAGE / "assumptions.yaml").read_text(encoding="utf-8"))
@@ -108,8 +76,8 @@ def make_report(run: Run) -> Report:
     claims, numbers = judge_claims(read), compare_numbers(tables, judged == "numbers")
     if judged == "none":
         claims["verdict"] = claims["verdict"].where(claims["verdict"] == NOT_RUN, "not judged")
-    where = "of a synthetic world, not of KITTI" if run.profile.world else "of a small training"
-    caution = f"These are numbers {where}: {CAUTIONS[judged]}" if CAUTIONS[judged] else ""
+    where, words = "of a synthetic world, not of KITTI" if run.profile.world else "of a small training", _WORDS["cautions"][judged]
+    caution = f"These are numbers {where}: {words}" if words else ""
     if not run.profile.data.has_truth:
         caution = "An own camera has no ground truth: nothing is scored and nothing is judged. What was learned shows in the pictures."
     if leaks:
@@ -121,7 +89,7 @@ def make_report(run: Run) -> Report:
     stamps += [path.with_suffix(".json") for path in figures.values()]
     more = {name: read[name] for name in ("odometry_trajectories", "odometry_motions", "odometry_claims") if name in read}
     chosen = assumptions(run.profile.training.loss)
-    captions = CAPTIONS if run.profile.data.has_truth else CAPTIONS | UNSCORED_CAPTIONS
+    captions = CAPTIONS if run.profile.data.has_truth else CAPTIONS | _WORDS["without_truth"]
     svg = path.read_text(encoding="utf-8") if (path := run.root / "docs/overview.svg").is_file() else ""
     said = headline(tables["main"])
     return Report(run.profile.about, said, caution, claims, numbers, tables, more, _provenance(run, stamps), figures, chosen, captions, svg)

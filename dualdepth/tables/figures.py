@@ -75,42 +75,29 @@ def pole_window(labels: np.ndarray) -> CloseUp | None:
     return around(row, column, labels.shape, 0.5)
 
 
-def depth_rows(images: Sequence[np.ndarray], depths: dict[str, Sequence[np.ndarray]], titles: Sequence[str], unit: str = "m") -> Picture:
-    """Frames in rows: image, then one depth map in metres, or in another `unit`, for each name in `depths`."""
-    figure = Picture(figsize=_size(images[0].shape, len(images), 1 + len(depths)), layout="constrained")
-    cells = figure.subplots(len(images), 1 + len(depths), squeeze=False)
-    for number, (row, image, title) in enumerate(zip(cells, images, titles)):
-        show_image(row[0], image, title)
-        for axes, (name, maps) in zip(row[1:], depths.items()):
-            show_depth(axes, maps[number], name, bar=axes is row[-1], unit=unit)
-    return figure
-
-
-def close_ups(
+def map_rows(
     images: Sequence[np.ndarray],
-    depths: dict[str, Sequence[np.ndarray]],
-    windows: Sequence[CloseUp],
+    maps: dict[str, Sequence[np.ndarray]],
     titles: Sequence[str],
+    *,
+    windows: Sequence[CloseUp] | None = None,
     unit: str = "m",
+    errors: bool = False,
 ) -> Picture:
-    """Windows of frames in rows: image, then each depth map, in metres or in another `unit`."""
-    parts = {name: [w.of(d) for w, d in zip(windows, maps)] for name, maps in depths.items()}
-    return depth_rows([w.of(i) for w, i in zip(windows, images)], parts, titles, unit)
+    """Frames in rows: image, then one map for each name in `maps`.
 
-
-def far_errors(
-    images: Sequence[np.ndarray], errors: dict[str, Sequence[np.ndarray]], windows: Sequence[CloseUp], titles: Sequence[str]
-) -> Picture:
-    """Windows of frames in rows: image, then relative errors (NaN = unknown), which show where distant objects go wrong."""
-    figure = Picture(figsize=_size((windows[0].height, windows[0].width), len(images), 1 + len(errors)), layout="constrained")
-    cells = figure.subplots(len(images), 1 + len(errors), squeeze=False)
-    for number, (row, image, window, title) in enumerate(zip(cells, images, windows, titles)):
-        show_image(row[0], window.of(image), title)
-        for axes, (name, maps) in zip(row[1:], errors.items()):
-            show_error(axes, window.of(maps[number]), name)
+    Args:
+        images, titles: (H, W, 3) each.
+        maps: (H, W) depth each, in metres or in another `unit`; with `errors` relative errors (NaN = unknown).
+        windows: the part of each frame that is shown, instead of all.
+    """
+    windows = windows or [CloseUp(0, 0, *image.shape[:2]) for image in images]
+    height, width = windows[0].height, windows[0].width
+    columns = 1 + len(maps)
+    figure = Picture(figsize=(13.0, len(images) * (12.4 / columns * height / width + 0.22) + 0.1), layout="constrained")
+    for number, row in enumerate(figure.subplots(len(images), columns, squeeze=False)):
+        show_image(row[0], windows[number].of(images[number]), titles[number])
+        for axes, (name, values) in zip(row[1:], maps.items()):
+            shown = windows[number].of(values[number])
+            show_error(axes, shown, name) if errors else show_depth(axes, shown, name, bar=axes is row[-1], unit=unit)
     return figure
-
-
-def _size(shape: Sequence[int], rows: int, columns: int) -> tuple[float, float]:
-    """Figure size in inches for a grid of pictures of `shape` = (H, W, …) with a line of text above each."""
-    return 13.0, rows * (12.4 / columns * shape[0] / shape[1] + 0.22) + 0.1

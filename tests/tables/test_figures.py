@@ -7,7 +7,7 @@ import pytest
 
 from dualdepth import plots
 from dualdepth.evaluation.regions import POLE
-from dualdepth.tables.figures import around, boundary_window, close_ups, depth_rows, far_errors, far_window, interpolated, pole_window
+from dualdepth.tables.figures import around, boundary_window, far_window, interpolated, map_rows, pole_window
 
 
 def holds(window, row, column):
@@ -130,7 +130,7 @@ SCORES = pd.DataFrame({"abs_rel": [0.1, 0.2, 0.15], "scale_ratio": [20.0, 21.0, 
 LOG = pd.DataFrame({"step": range(40), "photometric": 0.2, "translation": 1.0, "disparity_spread": np.linspace(0, 1, 40)})
 COSTS = pd.DataFrame({"gmacs": [5.0, 9.0], "latency_ms": [20.0, 30.0], "latency_ms_bf16": [11.0, 12.0], "device": "cpu"}, index=["a", "b"])
 DRAWN = {
-    "depth_rows": lambda: depth_rows(IMAGES, {"lr": DEPTHS, "dual": DEPTHS, "laser": SPARSE}, TITLES),
+    "map_rows": lambda: map_rows(IMAGES, {"lr": DEPTHS, "dual": DEPTHS, "laser": SPARSE}, TITLES),
     "depth_comparison": lambda: plots.depth_comparison(IMAGES, SPARSE, DEPTHS, TITLES),
     "image_grid": lambda: plots.image_grid(IMAGES * 2, TITLES * 2),
     "depth_pair": lambda: plots.depth_pair(IMAGES[0], DEPTHS[0], *TITLES),
@@ -148,9 +148,9 @@ def test_every_figure_is_drawn_and_saved(name, tmp_path):
     assert image.std() > 5  # something is drawn
 
 
-@pytest.mark.parametrize(("draw", "maps", "unknown"), [(close_ups, DEPTHS, 0), (far_errors, ERRORS, np.nan)])
-def test_close_ups_show_the_windows_of_the_image_and_of_its_map(draw, maps, unknown):
-    figure = draw(IMAGES, {"lr": maps}, WINDOWS, TITLES)
+@pytest.mark.parametrize(("errors", "maps", "unknown"), [(False, DEPTHS, 0), (True, ERRORS, np.nan)])
+def test_close_ups_show_the_windows_of_the_image_and_of_its_map(errors, maps, unknown):
+    figure = map_rows(IMAGES, {"lr": maps}, TITLES, windows=WINDOWS, errors=errors)
     shown = [axes.images[0].get_array() for axes in figure.axes if axes.get_label() != "<colorbar>"]
     for number, window in enumerate(WINDOWS):
         np.testing.assert_array_equal(shown[2 * number], window.of(IMAGES[number]))
