@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 
 import numpy as np
 import pandas as pd
@@ -9,6 +10,8 @@ import pytest
 
 from dualdepth.evaluation.depth import METRICS
 from dualdepth.evaluation.statistics import Comparison
+from dualdepth.run import project_root
+from dualdepth.tables import rows as rows_module
 from dualdepth.tables import scores as scores_module
 from dualdepth.tables.rows import COMPARISON, compared, comparisons, in_words, over_seeds, paired, readable, tell, training_row
 from dualdepth.tables.scores import Scores, Trained, collect
@@ -195,3 +198,19 @@ def test_comparisons_are_told_a_line_each(capsys):
     rows = [{"of": "Road", "seed": "0", "a": "dual", "b": "lr", "metric": "a1", "in_words": "better"}, {"a": "x", "b": "y", "reason": "no"}]
     tell(comparisons(rows, "seed"))
     assert capsys.readouterr().out == "Road seed 0: dual against lr, a1: better\nx against y: not compared: no\n"
+
+
+def test_the_table_that_contributing_shows_is_made(make_run, give_maps, capsys):
+    """Depth is right on the left, and 20 % too far on the right."""
+    truth = np.random.default_rng(0).uniform(4, 40, (3, 30, 60))
+    wrong = np.where(np.arange(60) < 40, 1, 1.2)
+    give_maps(lambda variant, seed: 1 / (truth * (wrong if variant == "dual" else wrong**2)), list(truth))
+    page = (project_root() / "CONTRIBUTING.md").read_text()
+    code = next(block for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "def thirds" in block)
+    names = {name: getattr(rows_module, name) for name in ("training_row", "tell", "comparisons", "paired")}
+    shown = []
+    exec(code, names | {"run": make_run(frames=3), "seeds": [0], "collect": collect, "pd": pd, "show": shown.append})
+    table = shown[0].set_index(["third", "variant"])["abs_rel"]
+    assert len(table) == 6 and table["left", "dual"] == pytest.approx(table["middle", "dual"])
+    assert table["left", "dual"] < table["right", "dual"] < table["right", "lr"] - 0.1
+    assert "right: dual against lr, abs_rel: better by " in capsys.readouterr().out
