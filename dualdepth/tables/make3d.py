@@ -11,10 +11,11 @@ import pandas as pd
 from dualdepth.data.depth_maps import load_ground_truth
 from dualdepth.data.frames import resample
 from dualdepth.data.make3d import MAKE3D_PHOTOS, read_photo
+from dualdepth.device import default_device
 from dualdepth.evaluation.baselines import GRID, depth_sums, mean_depth
 from dualdepth.evaluation.depth import resize_bilinear
 from dualdepth.evaluation.make3d import CONVENTIONS, FARTHEST, METRICS, ROWS, Convention, evaluate_make3d, visible
-from dualdepth.inference.predict import load_depth_net
+from dualdepth.model import load
 from dualdepth.run import Run
 from dualdepth.tables.make3d_scoring import NOT_RUN, Photos, load_photos, predict_photos, score_make3d
 from dualdepth.tables.rows import COMPARISON, compare_trainings, mean_row, seed_label, training_note, training_row, with_paper
@@ -134,7 +135,7 @@ def make3d_examples(run: Run, variant: str, seed: int, *, count: int = 3, size: 
     scores = score_make3d(run, variant, seed, convention="band")
     chosen = scores.index[np.unique(np.linspace(0, len(scores) - 1, count).round().astype(int))]
     pairs = [photos.pairs[i] for i in chosen]
-    depths = predict_photos(load_depth_net(run.weights(variant, seed)), pairs, "band")
+    depths = predict_photos(load(run.weights(variant, seed), default_device(), "float32"), pairs, "band")
     scored = [np.where(photos.grids[i] < FARTHEST, photos.grids[i], 0)[ROWS] for i in chosen]
     return Examples(
         [resample(visible(read_photo(pair.photo), "band"), size) for pair in pairs],

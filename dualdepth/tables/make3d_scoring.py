@@ -14,7 +14,7 @@ from dualdepth.device import default_device
 from dualdepth.errors import InputError
 from dualdepth.evaluation.make3d import Convention, evaluate_make3d, visible
 from dualdepth.files import file_digest, write_json, write_text
-from dualdepth.inference.predict import DepthNet, load_depth_net, predict_disparities
+from dualdepth.model import DepthModel, load
 from dualdepth.run import Run, Sources
 from dualdepth.staleness import code_digest
 from dualdepth.tables.scoring import is_current
@@ -62,13 +62,13 @@ def _read(pairs: tuple[PhotoGrid, ...], changed: tuple[tuple[int, int], ...]) ->
     return Photos(pairs, grids, truncated, hashlib.sha256(str(digests).encode()).hexdigest())
 
 
-def predict_photos(net: DepthNet, pairs: Sequence[PhotoGrid], convention: Convention) -> np.ndarray:
+def predict_photos(model: DepthModel, pairs: Sequence[PhotoGrid], convention: Convention) -> np.ndarray:
     """Depth (N, h, w) of what the network is shown of each photo, at its own size, of unknown scale."""
 
     def read(path: str | Path) -> np.ndarray:
         return visible(read_photo(path), convention)
 
-    return 1.0 / predict_disparities(net, [pair.photo for pair in pairs], device=default_device(), read=read)
+    return 1.0 / model.disparities([pair.photo for pair in pairs], read=read)
 
 
 def score_make3d(run: Run, variant: str, seed: int, *, convention: Convention) -> pd.DataFrame:
@@ -85,7 +85,7 @@ def score_make3d(run: Run, variant: str, seed: int, *, convention: Convention) -
     path = run.training(variant, seed) / f"make3d_{convention}.csv"
     made_from = {"weights": file_digest(weights), "photos": photos.digest, "code": code_digest("predict")}
     if not is_current(path.with_suffix(".json"), made_from):
-        depths = predict_photos(load_depth_net(weights), photos.pairs, convention)
+        depths = predict_photos(load(weights, default_device(), "float32"), photos.pairs, convention)
         write_text(path, evaluate_make3d(depths, photos.grids, convention).to_csv())
         write_json(path.with_suffix(".json"), made_from)
     return pd.read_csv(path, index_col="image")

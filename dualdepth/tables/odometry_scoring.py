@@ -15,7 +15,7 @@ from dualdepth.evaluation import odometry
 from dualdepth.evaluation.leaks import check_leak
 from dualdepth.evaluation.odometry import ALIGNMENTS, snippet_errors, snippets, trajectory_errors
 from dualdepth.files import atomic_path, file_digest, write_json
-from dualdepth.inference.predict import load_pose_net, predict_poses
+from dualdepth.model import load_pose_net, predict_poses
 from dualdepth.run import Run, Sources
 from dualdepth.staleness import code_digest
 from dualdepth.tables.scoring import is_current
@@ -99,7 +99,7 @@ def predicted_motions(run: Run, variant: str, seed: int, entry: str) -> np.ndarr
     made_from = {"weights": file_digest(weights), "frames": frames, "code": code_digest("predict")}
     if not is_current(path.with_suffix(".json"), made_from):
         with atomic_path(path) as partial:
-            np.save(partial, predict_poses(load_pose_net(weights), files, device=default_device()))
+            np.save(partial, predict_poses(load_pose_net(weights, default_device()), files))
         write_json(path.with_suffix(".json"), made_from)
     return np.load(path)
 

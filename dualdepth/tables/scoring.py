@@ -19,7 +19,7 @@ from dualdepth.evaluation import baselines
 from dualdepth.evaluation.depth import METRICS, evaluate, resize_bilinear
 from dualdepth.evaluation.leaks import check_leak
 from dualdepth.files import atomic_path, file_digest, write_json, write_text
-from dualdepth.inference.predict import DepthNet, load_depth_net, predict_disparities
+from dualdepth.model import DepthModel, load
 from dualdepth.networks.architecture import Architecture
 from dualdepth.run import Run, Sources
 from dualdepth.staleness import code_digest
@@ -106,7 +106,7 @@ def score_training(run: Run, variant: str, seed: int) -> pd.DataFrame:
     made_from |= {"evaluation": run.profile.digest("evaluation"), "code": code_digest("predict")}
     if is_current(folder / "per_image.json", made_from):
         return pd.read_csv(folder / "per_image.csv", index_col="image")
-    disparities = predict_disparities(load_depth_net(weights), image_paths(run), device=default_device())
+    disparities = load(weights, default_device(), "float32").disparities(image_paths(run))
     with atomic_path(folder / "disparities.npy") as partial:
         np.save(partial, disparities)
     if run.profile.data.has_truth:
@@ -156,17 +156,18 @@ class Predictions:
         return np.clip(enlarged * self.scores.loc[image, "scale_ratio"], settings.min_depth, settings.max_depth)
 
 
-def untrained_net(run: Run, seed: int) -> DepthNet:
+def untrained_net(run: Run, seed: int) -> DepthModel:
     """LR-Net of a seed before its first step."""
     torch.manual_seed(seed)
     training = run.profile.training
     architecture = Architecture(network="lr", encoder=training.encoder)
-    return DepthNet(architecture.build(training.pretrained).eval(), architecture, run.profile.data.hr_size)
+    card = architecture.model_dump() | {"hr_size": run.profile.data.hr_size}
+    return DepthModel(card, architecture.build(training.pretrained), device=default_device(), precision="float32")
 
 
 def score_untrained(run: Run, seed: int) -> pd.DataFrame:
     """Score LR-Net of the same seed before its first step: what the architecture alone gives."""
-    disparities = predict_disparities(untrained_net(run, seed), image_paths(run), device=default_device())
+    disparities = untrained_net(run, seed).disparities(image_paths(run))
     return evaluate(disparities, truth(run), name="untrained", kind="disparity", **run.profile.evaluation.model_dump())
 
 
