@@ -15,7 +15,8 @@ from dualdepth.files import write_text
 from dualdepth.run import Run
 from dualdepth.settings import Loss
 from dualdepth.staleness import PACKAGE
-from dualdepth.tables.verdicts import NOT_RUN, RULES, compare_numbers, judge_claims
+from dualdepth.tables.claims import NOT_RUN, RULES, compare_numbers, judge_claims
+from dualdepth.tables.rows import readable
 
 TITLES = {
     "main": "Depth on the Eigen split",
@@ -29,8 +30,6 @@ TITLES = {
 }
 FIRST_LOOK = "side_by_side"
 """The picture to look at first."""
-HIDDEN = ("variant", "device", "seeds")
-"""Columns of tables that the page does not show; the CSV files have them."""
 CAPTIONS = {
     "main_depth": "Frames, laser depth, predicted depth and relative error.",
     "ablation_depth": "Depth of the ablation's networks.",
@@ -103,12 +102,12 @@ def make_report(run: Run) -> Report:
     for number, name in zip(("05", "06", "07", "08", "09", "10", "11", "12"), TITLES):
         run.require(folder / f"{name}.csv", f"{number}_table_{name}")
     read = {path.stem: pd.read_csv(path, dtype={"seeds": str}) for path in sorted(folder.glob("*.csv"))}
-    tables = {name: read[name].fillna({"note": "", "seeds": ""}) for name in TITLES}
-    leaks = {note[note.index("LEAK") :] for table in read.values() if "note" in table for note in table["note"].dropna() if "LEAK" in note}
+    tables = {name: read[name].fillna(dict.fromkeys(("note", "reason", "leak", "seeds"), "")) for name in TITLES}
+    leaks = {leak for table in read.values() if "leak" in table for leak in table["leak"].dropna()}
     judged = "none" if leaks else run.profile.verdicts
     claims, numbers = judge_claims(read), compare_numbers(tables, judged == "numbers")
     if judged == "none":
-        claims["verdict"] = [verdict if verdict.startswith(NOT_RUN) else "not judged" for verdict in claims["verdict"]]
+        claims["verdict"] = claims["verdict"].where(claims["verdict"] == NOT_RUN, "not judged")
     where = "of a synthetic world, not of KITTI" if run.profile.world else "of a small training"
     caution = f"These are numbers {where}: {CAUTIONS[judged]}" if CAUTIONS[judged] else ""
     if not run.profile.data.has_truth:
@@ -140,7 +139,7 @@ def headline(main: pd.DataFrame) -> str:
     said = [words.format(measured[method]) for method, words in names.items() if method in measured]
     if not said:
         return "Nothing was scored; what was learned shows in the pictures."
-    leaked = "note" in ours and ours["note"].astype(str).str.contains("LEAK").any()
+    leaked = "leak" in ours and ours["leak"].fillna("").ne("").any()
     return f"On {'frames of drives that were trained on' if leaked else 'frames that no training saw'}, {', '.join(said)}."
 
 
@@ -175,25 +174,21 @@ def _provenance(run: Run, stamps: Sequence[Path]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def shown(name: str, table: pd.DataFrame) -> pd.DataFrame:
-    """A table for the eye: means with their spread over seeds, no columns that are empty throughout or only for programs."""
-    from dualdepth.tables.rows import readable
-
-    spread = [c.removesuffix("_std") for c in table if c.endswith("_std") and c.removesuffix("_std") in table]
-    table = readable(table, [c for c in spread if pd.api.types.is_numeric_dtype(table[c])], digits=4 if name == "odometry" else 3)
-    empty = [c for c in table if table[c].isna().all() or (table[c].astype(str) == "").all()]
-    table = table.drop(columns=[c for c in (*HIDDEN, *empty) if c in table])
-    last = [c for c in ("source", "note") if c in table]
-    return table[[c for c in table if c not in last] + last]
-
-
 def footnotes(table: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
-    """The table with its column `note` as numbers, and the notes in that order, each once."""
-    if "note" not in table:
+    """The table with its notes and reasons as numbers in the column `note`, and their texts in that order, each once."""
+    words = [table[c].fillna("").astype(str) for c in ("note", "reason", "leak") if c in table]
+    if not words:
         return table, []
-    notes = [note for note in dict.fromkeys(table["note"].fillna("")) if note]
+    joined = ["; ".join(filter(None, parts)) for parts in zip(*words)]
+    notes = list(dict.fromkeys(filter(None, joined)))
     numbers = {note: str(number) for number, note in enumerate(notes, 1)}
-    return table.assign(note=[numbers.get(note, "") for note in table["note"].fillna("")]), notes
+    kept = table.drop(columns=["note", "reason", "leak"], errors="ignore")
+    return kept.assign(note=[numbers.get(note, "") for note in joined]), notes
+
+
+def digits_of(name: str) -> int:
+    """Digits that a table is shown with: the odometry table's errors are of centimetres."""
+    return 4 if name == "odometry" else 3
 
 
 def html(report: Report, name: str) -> str:
@@ -207,9 +202,9 @@ def html(report: Report, name: str) -> str:
         name=name,
         report=report,
         claims=report.claims[["claim", "metric", "verdict", *(c for c in report.claims if c not in ("claim", "metric", "verdict"))]],
-        tables={k: (title, shown(k, report.tables[k])) for k, title in TITLES.items()},
+        tables={k: (title, readable(report.tables[k], digits_of(k))) for k, title in TITLES.items()},
         pictures=pictures,
-        more={k: shown(k, frame) for k, frame in report.more.items()},
+        more={k: readable(frame, digits_of(k)) for k, frame in report.more.items()},
         oddities=paper.ODDITIES,
         rules=RULES,
         first=FIRST_LOOK,

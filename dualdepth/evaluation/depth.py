@@ -160,9 +160,12 @@ def evaluate(predictions: Sequence[np.ndarray] | np.ndarray, ground_truths: Iter
     Returns:
         One row per scored image, indexed by its place (`image`).
     """
-    return evaluate_parts(predictions, ground_truths, lambda _, pixels: {"all": np.ones_like(pixels.index, bool)}, **options).droplevel(
-        "part"
-    )
+    return evaluate_parts(predictions, ground_truths, whole, **options).droplevel("part")
+
+
+def whole(_: int, pixels: Pixels) -> dict[str, np.ndarray]:
+    """All valid pixels as the one part of an image, for `evaluate_parts`."""
+    return {"all": np.ones_like(pixels.index, bool)}
 
 
 def evaluate_parts(

@@ -13,8 +13,11 @@ from dualdepth.device import default_device, device_name, has_bf16
 from dualdepth.evaluation.cost import count, latency
 from dualdepth.networks.architecture import Architecture
 from dualdepth.run import Run
-from dualdepth.tables.rows import compare_trainings, training_row, with_paper
+from dualdepth.tables.claims import claims_of
+from dualdepth.tables.rows import MEASURED, comparisons, not_run, paired, training_row, with_paper
+from dualdepth.tables.scores import Scores, collect, scored
 
+NO_WEIGHTS = "no ImageNet weights in this profile: `training.pretrained` is false"
 WITHOUT_DECODER = "Dual-network (ResNet50), without LR-Net's decoder"
 NETWORKS = {
     "MobileNet V2": (Architecture(network="single", encoder="mobilenet_v2"), "mobilenet_v2"),
@@ -49,40 +52,36 @@ def cost_row(name: str, repeats: int) -> dict[str, Any]:
     return row
 
 
-def backbone_table(run: Run, seeds: Sequence[int], repeats: int = 3) -> pd.DataFrame:
+def backbone_scores(run: Run, seeds: Sequence[int]) -> Scores:
+    """Scores of the table's trainings; `dual_scratch` is another only where the others begin with ImageNet weights."""
+    scores = collect(run, (*(variant for _, variant in NETWORKS.values()), "dual_scratch"), seeds)
+    if run.profile.training.pretrained:
+        return scores
+    return scores._replace(missing=scores.missing | {"dual_scratch": NO_WEIGHTS})
+
+
+def backbone_table(run: Run, scores: Scores, repeats: int = 3) -> pd.DataFrame:
     """The paper's rows; ours with cost at the paper's sizes and metrics of the profile's trainings; with and without ImageNet weights.
 
     Columns backbone, params_m (millions), gmacs (10⁹ multiply-accumulates), latency_ms, peak_mb and device (batch 1), the same in bf16,
-    the metrics, n, seeds, source, note.
+    the metrics, n, source, seeds, note, reason (why there are no metrics), leak.
     """
     rows = []
-    imitated = "" if has_bf16(default_device()) else ", bf16 not measured: the device only imitates it"
+    cost = "cost of a new network at the paper's size" + (
+        "" if has_bf16(default_device()) else ", bf16 not measured: the device only imitates it"
+    )
     for name, (_, variant) in NETWORKS.items():
-        trained = training_row(run, variant, seeds)
-        note = f"cost of a new network at the paper's size{imitated}; metrics of variant {variant}: {trained['note']}"
-        rows.append({"backbone": name, **cost_row(name, repeats), **trained, "note": note})
+        row = training_row(scores, variant, note=scored(run).note)
+        note = "; ".join([cost, *([f"metrics of variant {variant}: {row['note']}"] if "note" in row else [])])
+        rows.append({"backbone": name, **cost_row(name, repeats), **row, "source": MEASURED, "note": note})
+    dual = training_row(scores, "dual", note=scored(run).note)
     if run.profile.training.pretrained:
-        begun, new = training_row(run, "dual", seeds), training_row(run, "dual_scratch", seeds)
+        begun, new = dual, training_row(scores, "dual_scratch", note=scored(run).note)
     else:
-        note = "not run: no ImageNet weights in this profile: `training.pretrained` is false"
-        begun, new = {"variant": "dual", "source": "measured", "note": note}, training_row(run, "dual", seeds)
+        begun, new = {"variant": "dual", **not_run(NO_WEIGHTS)}, dual
     return with_paper("backbone", [*rows, {"backbone": "w/ pt", **begun}, {"backbone": "w/o pt", **new}])
 
 
-CLAIMS = {
-    ("dual", "resnet18"): "the dual network is better than ResNet18 at high resolution",
-    ("dual", "mobilenet_v2"): "the dual network is better than MobileNet V2 at high resolution",
-    ("dual", "dual_scratch"): "ImageNet weights help",
-}
-"""(better, worse) as the paper has it, and its claim."""
-
-
-def backbone_claims(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
+def backbone_claims(scores: Scores) -> pd.DataFrame:
     """The paper's claims about backbones, paired. Single networks begin with a new PoseNet, the dual one after a whole stage 1."""
-    pairs = [pair for pair in CLAIMS if pair[1] != "dual_scratch" or run.profile.training.pretrained]
-    table = compare_trainings(run, pairs, seeds)
-    if len(pairs) < len(CLAIMS):
-        reason = "not run: no ImageNet weights in this profile"
-        table = pd.concat([table, pd.DataFrame([{"a": "dual", "b": "dual_scratch", "metric": "", "in_words": reason}])], ignore_index=True)
-    table.insert(0, "claim", [CLAIMS[pair] for pair in zip(table["a"], table["b"])])
-    return table
+    return comparisons(row for claim in claims_of("backbone") for row in paired(scores, claim.a, claim.b))

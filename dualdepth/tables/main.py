@@ -2,60 +2,82 @@
 
 from collections.abc import Sequence
 
+import numpy as np
 import pandas as pd
 
-from dualdepth.evaluation.statistics import Difference, mean_std, paired_bootstrap
+from dualdepth.data.depth_maps import load_ground_truth
+from dualdepth.evaluation import baselines
+from dualdepth.evaluation.depth import evaluate
 from dualdepth.run import Run
-from dualdepth.tables.rows import NO_TRUTH, mean_row, seed_label, training_row, with_paper
-from dualdepth.tables.scoring import score_baselines, score_training, score_untrained, scored_note
+from dualdepth.tables.rows import MEASURED, comparisons, not_run, over_seeds, paired, seed_label, training_row, with_paper
+from dualdepth.tables.scores import Scores, collect, scored, untrained_net
 
-BASELINE_ROWS = {"mean_map": "Train set mean", "row_mean": "Per-row mean", "constant": "Constant depth"}
+BASELINES = {"mean_map": "Train set mean", "row_mean": "Per-row mean", "constant": "Constant depth"}
+UNTRAINED = "untrained"
 
 
-def main_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
+def main_scores(run: Run, seeds: Sequence[int]) -> Scores:
+    """LR-Net and the dual network, LR-Net of the same seeds before its first step, and the baselines without learning."""
+    scores = collect(run, ("lr", "dual"), seeds)
+    if not run.profile.data.has_truth:
+        return scores._replace(missing=scores.missing | dict.fromkeys((*BASELINES, UNTRAINED), scores.missing["lr"]))
+    options = run.profile.evaluation.model_dump()
+    untrained = {}
+    for seed in seeds:
+        disparities = untrained_net(run, seed).disparities(scored(run).paths)
+        untrained[UNTRAINED, seed] = evaluate(disparities, scored(run).truth, name=UNTRAINED, kind="disparity", **options)
+    scores = scores._replace(frame=pd.concat([scores.frame, pd.concat(untrained, names=["variant", "seed"])]))
+    for name in BASELINES:
+        predictions = baseline_depths(run, name)
+        if predictions is None:
+            reason = "no training-side laser frames, and the scored frames are of one drive"
+            scores = scores._replace(missing=scores.missing | {name: reason})
+        else:
+            scores = scores.plus(name, evaluate(predictions, scored(run).truth, name=name, kind="depth", **options))
+    return scores
+
+
+def baseline_depths(run: Run, name: str) -> Sequence[np.ndarray] | None:
+    """What a baseline predicts for each scored frame, in metres.
+
+    It is fitted on training-side laser frames; where the only laser frames are the scored ones, each drive is predicted from the
+    others. None where both fail: no training-side scans and one scored drive.
+    """
+    frames, fitted = scored(run), run.prepared / "baseline_truth.npz"
+    settings = {"grid": baselines.GRID, "max_depth": run.profile.evaluation.max_depth}
+    if fitted.exists():
+        sums = baselines.depth_sums(load_ground_truth(fitted), **settings)
+        return [baselines.predict(sums, name, depth.shape) for depth in frames.truth]
+    if len(frames.drives) < 2:
+        return None
+    return baselines.leave_one_drive_out(list(frames.truth), [frame.drive for frame in frames.frames], name, **settings)
+
+
+def main_table(run: Run, scores: Scores) -> pd.DataFrame:
     """The paper's rows, baselines without learning, LR-Net before and after its training, the dual network.
 
-    Returns:
-        Columns method, dataset, supervision, the seven metrics (means over images and seeds), n, source, the metrics' standard
-        deviations over seeds, seeds, note.
+    Columns method, dataset, supervision, the seven metrics (means over images and seeds), n, source, the metrics' standard deviations
+    over seeds, seeds, note, reason, leak. `scores` are those of `main_scores`.
     """
-    names = {"miniature": "miniature", "kitti": "K", "own": "own"}
-    common = {"dataset": names[run.profile.data.source], "source": "measured"}
     fitted = (run.prepared / "baseline_truth.npz").exists()
     fit = "fitted on training-side laser frames" if fitted else "fitted on the scored frames of all other drives"
-    fit = "; ".join(filter(None, [fit, scored_note(run)]))
-    scores = score_baselines(run)
-    missing = "not run: no training-side laser frames, and the scored frames are of one drive" if run.profile.data.has_truth else NO_TRUTH
     rows = []
-    for name, method in BASELINE_ROWS.items():
-        row = {"method": method, **common, "supervision": "Depth", **(mean_row([scores[name]]) if scores else {})}
-        rows.append(row | {"note": fit if scores else missing})
-    untrained = {"method": "LR-Net, untrained", "supervision": "-", "note": NO_TRUTH}
-    if run.profile.data.has_truth:
-        note = "; ".join(filter(None, ["before its first step", scored_note(run)]))
-        untrained |= {**mean_row([score_untrained(run, seed) for seed in seeds]), "seeds": seed_label(seeds), "note": note}
-    rows.append(untrained | common)
+    for name, method in {**BASELINES, UNTRAINED: "LR-Net, untrained"}.items():
+        row = {"method": method, "supervision": "-" if name == UNTRAINED else "Depth"}
+        if name in scores.missing:
+            rows.append(row | not_run(scores.missing[name]))
+            continue
+        frame, note = scores.of(name), "before its first step" if name == UNTRAINED else fit
+        seeds = seed_label(frame.index.unique("seed")) if name == UNTRAINED else ""
+        note = ", ".join(filter(None, [note, scored(run).note]))
+        rows.append(row | over_seeds(frame) | {"seeds": seeds, "source": MEASURED, "note": note})
     for variant in ("lr", "dual"):
-        rows.append({"method": run.profile.variant(variant).label, "supervision": "-", **training_row(run, variant, seeds), **common})
-    return with_paper("main", rows).drop(columns="variant")
+        row = training_row(scores, variant, note=scored(run).note)
+        rows.append({"method": run.profile.variant(variant).label, "supervision": "-", **row})
+    dataset = {"miniature": "miniature", "kitti": "K", "own": "own"}[run.profile.data.source]
+    return with_paper("main", [row | {"dataset": dataset} for row in rows]).drop(columns="variant")
 
 
-def compare_with_baselines(run: Run, variant: str, seeds: Sequence[int]) -> pd.DataFrame:
-    """A trained variant against each baseline without learning, image by image.
-
-    Returns:
-        Rows per baseline and metric (abs_rel, a1): both means, the spread of the variant's mean over seeds, the paired
-        difference (variant − baseline) and its 95 % bootstrap interval over images, and whether that is clear of zero.
-    """
-    trained = [score_training(run, variant, seed) for seed in seeds]
-    rows = []
-    for name, scores in score_baselines(run).items():
-        for metric in ("abs_rel", "a1"):
-            ours = sum(frame[metric] for frame in trained) / len(trained)
-            mean, spread = mean_std([frame[metric].mean() for frame in trained])
-            difference = paired_bootstrap(ours, scores[metric], seed=0)
-            row = {"variant": variant, "baseline": BASELINE_ROWS[name], "metric": metric, "of_baseline": scores[metric].mean()}
-            row |= {"of_variant": mean, "spread_over_seeds": spread, **difference._asdict()}
-            rows.append(row | {"clear_of_zero": difference.low > 0 or difference.high < 0})
-    columns = ["variant", "baseline", "metric", "of_baseline", "of_variant", "spread_over_seeds", *Difference._fields, "clear_of_zero"]
-    return pd.DataFrame(rows, columns=columns)
+def main_claims(scores: Scores) -> pd.DataFrame:
+    """Each training against each baseline without learning, paired image by image."""
+    return comparisons(row for variant in ("lr", "dual") for name in BASELINES for row in paired(scores, variant, name))

@@ -1,7 +1,9 @@
 """Make3D: the trained networks, not fine-tuned, on upright photos of another camera in other places."""
 
+import hashlib
 from collections.abc import Sequence
-from functools import partial
+from functools import lru_cache
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
@@ -10,93 +12,152 @@ import pandas as pd
 
 from dualdepth.data.depth_maps import load_ground_truth
 from dualdepth.data.frames import resample
-from dualdepth.data.make3d import MAKE3D_PHOTOS, read_photo
-from dualdepth.device import default_device
+from dualdepth.data.make3d import MAKE3D_PHOTOS, PhotoGrid, find_pairs, is_truncated, read_grid, read_photo
+from dualdepth.errors import InputError
 from dualdepth.evaluation.baselines import GRID, depth_sums, mean_depth
 from dualdepth.evaluation.depth import resize_bilinear
 from dualdepth.evaluation.make3d import CONVENTIONS, FARTHEST, METRICS, ROWS, Convention, evaluate_make3d, visible
-from dualdepth.model import load
-from dualdepth.run import Run
-from dualdepth.tables.make3d_scoring import NOT_RUN, Photos, load_photos, predict_photos, score_make3d
-from dualdepth.tables.rows import COMPARISON, compare_trainings, mean_row, seed_label, training_note, training_row, with_paper
-from dualdepth.tables.scoring import untrained_net
+from dualdepth.files import file_digest, write_text
+from dualdepth.model import DepthModel
+from dualdepth.run import Run, Sources
+from dualdepth.tables.rows import MEASURED, comparisons, not_run, over_seeds, paired, seed_label, training_row, with_paper
+from dualdepth.tables.scores import Scores, Trained, collect, untrained_net
 
 VARIANTS = ("lr", "dual_no_sa", "dual")
+NO_PHOTOS = "no MAKE3D_ROOT; get it with python data_scripts/download_make3d.py --root DIR"
+UNTRAINED, CONSTANT, MEAN = "LR-Net, untrained", "Constant depth", "Train set mean"
 
 
-def make3d_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
-    """The paper's rows, constants, LR-Net before its training, and the trained networks by both conventions (column `convention`).
+class Photos(NamedTuple):
+    """The photos that are scored, in the order of their names."""
 
-    Where the run has no MAKE3D_ROOT our rows have no numbers and say how to get it.
+    pairs: tuple[PhotoGrid, ...]
+    grids: np.ndarray
+    """(N, 55, 305) metres."""
+    truncated: tuple[str, ...]
+    """Photos that lack their end."""
+    digest: str
+    """Of all photos and grids."""
+
+
+def load_photos(run: Run) -> Photos | None:
+    """Make3D's photos and grids, or None where the run has no MAKE3D_ROOT; read anew only when a file has changed.
+
+    Raises:
+        InputError: a photo without grid or the other way round, a grid that cannot be read, or more truncated photos than the one that
+            is published so.
+    """
+    root = Sources.load(run).make3d_root
+    if root is None:
+        return None
+    pairs = tuple(find_pairs(root))
+    stats = [path.stat() for pair in pairs for path in (pair.photo, pair.grid)]
+    return _read(pairs, tuple((s.st_size, s.st_mtime_ns) for s in stats))
+
+
+@lru_cache(maxsize=2)
+def _read(pairs: tuple[PhotoGrid, ...], changed: tuple[tuple[int, int], ...]) -> Photos:
+    grids = np.stack([read_grid(pair.grid) for pair in pairs])
+    truncated = tuple(pair.photo.name for pair in pairs if is_truncated(pair.photo))
+    if len(truncated) > 1:
+        more = f" and {len(truncated) - 3} more" if len(truncated) > 3 else ""
+        raise InputError(
+            f"{pairs[0].photo.parent}: {', '.join(truncated[:3])}{more} are truncated; one photo is published so, copy the others again"
+        )
+    digests = [(pair.name, file_digest(pair.photo), file_digest(pair.grid)) for pair in pairs]
+    return Photos(pairs, grids, truncated, hashlib.sha256(str(digests).encode()).hexdigest())
+
+
+def predict_photos(model: DepthModel, pairs: Sequence[PhotoGrid], convention: Convention) -> np.ndarray:
+    """Depth (N, h, w) of what the network is shown of each photo, at its own size, of unknown scale."""
+
+    def read(path: str | Path) -> np.ndarray:
+        return visible(read_photo(path), convention)
+
+    return 1.0 / model.disparities([pair.photo for pair in pairs], read=read)
+
+
+def score_photos(training: Trained, photos: Photos, convention: Convention) -> pd.DataFrame:
+    """Metrics of each photo by a training's last weights, kept beside them as `make3d_<convention>.csv` and reused while they fit."""
+
+    def score(path: Path) -> None:
+        depths = predict_photos(training.model, photos.pairs, convention)
+        write_text(path, evaluate_make3d(depths, photos.grids, convention).to_csv())
+
+    return pd.read_csv(training.kept(f"make3d_{convention}.csv", {"photos": photos.digest}, score), index_col="image")
+
+
+def make3d_scores(run: Run, seeds: Sequence[int]) -> Scores:
+    """Scores of the trained networks, of LR-Net before its training, and of constants, by convention (`part`).
+
+    Where the run has no MAKE3D_ROOT nothing has scores.
     """
     photos = load_photos(run)
-    rows = [constant_row(photos), *mean_rows(run, photos)]
-    for convention in CONVENTIONS:
-        rows.append(untrained_row(run, seeds, photos, convention))
-        rows += [trained_row(run, variant, seeds, photos, convention) for variant in VARIANTS]
-    return with_paper("make3d", rows)
+    if photos is None:
+        scores = collect(run, VARIANTS, seeds, reason=NO_PHOTOS)
+        return scores._replace(missing=scores.missing | dict.fromkeys((CONSTANT, MEAN, UNTRAINED), NO_PHOTOS))
+
+    def by_convention(score: Any) -> pd.DataFrame:
+        return pd.concat({c: score(c) for c in CONVENTIONS}, names=["part"]).swaplevel()
+
+    scores = collect(run, VARIANTS, seeds, lambda t: by_convention(lambda c: score_photos(t, photos, c)), reason="", drives=())
+    untrained = {}
+    for seed in seeds:
+        net = untrained_net(run, seed)
+        untrained[UNTRAINED, seed] = by_convention(
+            lambda c, net=net: evaluate_make3d(predict_photos(net, photos.pairs, c), photos.grids, c)
+        )
+    scores = scores._replace(frame=pd.concat([scores.frame, pd.concat(untrained, names=["variant", "seed"])]))
+    scores = scores.plus(CONSTANT, by_convention(lambda _: _score_constant(1.0, photos, median_scaling=True)))
+    if (depth := training_mean(run)) is not None:
+        scores = scores.plus(MEAN, by_convention(lambda _: _score_constant(depth, photos, median_scaling=False)))
+    return scores
 
 
-def constant_row(photos: Photos | None) -> dict[str, Any]:
-    """Constant depth, scaled as the networks are; it is the same by both conventions."""
-    row = _row("Constant depth", "either", photos)
-    if photos is not None:
-        row |= mean_row([_score_constant(1.0, photos, median_scaling=True)], METRICS)
-        row["note"] = "any constant, scaled to each photo's median as the networks are"
-    return row
-
-
-def mean_rows(run: Run, photos: Photos | None) -> list[dict[str, Any]]:
-    """The mean depth of the training-side laser frames, in metres as it is; no row where there are no such frames."""
+def training_mean(run: Run) -> float | None:
+    """Mean depth in metres of the training-side laser frames; None where there are none."""
     fitted = run.prepared / "baseline_truth.npz"
     if not fitted.exists():
-        return []
-    row = _row("Train set mean", "either", photos) | {"supervision": "Depth"}
-    if photos is not None:
-        sums = depth_sums(load_ground_truth(fitted), grid=GRID, max_depth=run.profile.evaluation.max_depth)
-        depth = mean_depth(sums, "constant").item()
-        row |= mean_row([_score_constant(depth, photos, median_scaling=False)], METRICS)
-        row["note"] = f"{depth:.1f} m, mean of training-side laser frames, not scaled"
-    return [row]
-
-
-def untrained_row(run: Run, seeds: Sequence[int], photos: Photos | None, convention: Convention) -> dict[str, Any]:
-    """LR-Net of the same seeds before its first step."""
-    row = _row("LR-Net, untrained", convention, photos)
-    if photos is not None:
-        depths = (predict_photos(untrained_net(run, seed), photos.pairs, convention) for seed in seeds)
-        row |= mean_row([evaluate_make3d(depth, photos.grids, convention) for depth in depths], METRICS)
-        row |= {"seeds": seed_label(seeds), "note": _said(run, photos, "before its first step")}
-    return row
-
-
-def trained_row(run: Run, variant: str, seeds: Sequence[int], photos: Photos | None, convention: Convention) -> dict[str, Any]:
-    """A training's mean over photos and seeds; without numbers where the profile does not train it."""
-    row = {"variant": variant, **_row(run.profile.variant(variant).label, convention, photos)}
-    if variant not in run.profile.train:
-        return row | training_row(run, variant, seeds, own_truth=True)
-    if photos is not None:
-        row |= training_row(run, variant, seeds, scores=partial(score_make3d, convention=convention), columns=METRICS, own_truth=True)
-        row["note"] = _said(run, photos, f"{training_note(run, variant, seeds[0], drives=())}, not fine-tuned")
-    return row
-
-
-def _row(method: str, convention: str, photos: Photos | None) -> dict[str, Any]:
-    """What all measured rows say; all there is to say without photos."""
-    row = {"method": method, "supervision": "-", "convention": convention, "source": "measured"}
-    row |= {**dict.fromkeys((*METRICS, "n"), np.nan), "seeds": "", "note": ""}
-    return row if photos is not None else row | {"note": NOT_RUN}
-
-
-def _said(run: Run, photos: Photos, note: str) -> str:
-    """The note, which photo was read without its end, and whether some of the published ones are missing."""
-    missing = [f"{len(photos.pairs)} of {MAKE3D_PHOTOS} photos"] if not run.profile.world and len(photos.pairs) != MAKE3D_PHOTOS else []
-    return "; ".join([note, *(f"{name} is truncated" for name in photos.truncated), *missing])
+        return None
+    return mean_depth(depth_sums(load_ground_truth(fitted), grid=GRID, max_depth=run.profile.evaluation.max_depth), "constant").item()
 
 
 def _score_constant(depth: float, photos: Photos, *, median_scaling: bool) -> pd.DataFrame:
     maps = [np.full((1, 1), depth)] * len(photos.grids)
     return evaluate_make3d(maps, photos.grids, "band", median_scaling=median_scaling)
+
+
+def make3d_table(run: Run, scores: Scores) -> pd.DataFrame:
+    """The paper's rows, constants, LR-Net before its training, and the trained networks by both conventions (column `convention`).
+
+    Where the run has no MAKE3D_ROOT our rows have no numbers and say how to get it.
+    """
+    photos, mean = load_photos(run), training_mean(run)
+    rows = [_row(scores, CONSTANT, "band", "any constant, scaled to each photo's median as the networks are") | {"convention": "either"}]
+    if mean is not None:
+        row = _row(scores, MEAN, "band", f"{mean:.1f} m, mean of training-side laser frames, not scaled")
+        rows.append(row | {"convention": "either", "supervision": "Depth"})
+    missing = ""
+    if photos and not run.profile.world and len(photos.pairs) != MAKE3D_PHOTOS:
+        missing = f"{len(photos.pairs)} of {MAKE3D_PHOTOS} photos"
+    remarks = [*(f"{name} is truncated" for name in (photos.truncated if photos else ())), *filter(None, [missing])]
+    for convention in CONVENTIONS:
+        rows.append(_row(scores, UNTRAINED, convention, "; ".join(["before its first step", *remarks])))
+        for variant in VARIANTS:
+            row = training_row(scores, variant, METRICS, convention, "; ".join(["not fine-tuned", *remarks]))
+            named = {"method": run.profile.variant(variant).label, "supervision": "-", "convention": convention}
+            rows.append(named | row)
+    return with_paper("make3d", rows)
+
+
+def _row(scores: Scores, name: str, convention: str, note: str) -> dict[str, Any]:
+    """Row of a method that is no training."""
+    row = {"method": name, "supervision": "-", "convention": convention}
+    if name in scores.missing:
+        return row | not_run(scores.missing[name])
+    frame = scores.of(name, convention)
+    seeds = seed_label(frame.index.unique("seed")) if name == UNTRAINED else ""
+    return row | over_seeds(frame, METRICS) | {"seeds": seeds, "source": MEASURED, "note": note}
 
 
 def made_from(run: Run, seeds: Sequence[int]) -> dict[str, Any]:
@@ -106,13 +167,9 @@ def made_from(run: Run, seeds: Sequence[int]) -> dict[str, Any]:
     return {"inputs": weights if photos else [], "seeds": list(seeds), "photos_sha256": photos.digest if photos else None}
 
 
-def make3d_claims(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
+def make3d_claims(scores: Scores) -> pd.DataFrame:
     """The dual network against LR-Net, paired photo by photo, shown the central band."""
-    if load_photos(run) is None:
-        return pd.DataFrame([{"a": "dual", "b": "lr", "metric": "", "in_words": NOT_RUN}], columns=COMPARISON)
-    return compare_trainings(
-        run, [("dual", "lr")], seeds, metrics=["abs_rel"], scores=partial(score_make3d, convention="band"), own_truth=True
-    )
+    return comparisons(paired(scores, "dual", "lr", ["abs_rel"], part="band"))
 
 
 class Examples(NamedTuple):
@@ -127,19 +184,19 @@ class Examples(NamedTuple):
     titles: list[str]
 
 
-def make3d_examples(run: Run, variant: str, seed: int, *, count: int = 3, size: tuple[int, int] = (320, 640)) -> Examples | None:
+def make3d_examples(training: Trained, *, count: int = 3, size: tuple[int, int] = (320, 640)) -> Examples | None:
     """`count` photos, evenly spread, predicted by a training; None where the run has no MAKE3D_ROOT."""
-    photos = load_photos(run)
+    photos = load_photos(training.run)
     if photos is None:
         return None
-    scores = score_make3d(run, variant, seed, convention="band")
+    scores = score_photos(training, photos, "band")
     chosen = scores.index[np.unique(np.linspace(0, len(scores) - 1, count).round().astype(int))]
     pairs = [photos.pairs[i] for i in chosen]
-    depths = predict_photos(load(run.weights(variant, seed), default_device(), "float32"), pairs, "band")
-    scored = [np.where(photos.grids[i] < FARTHEST, photos.grids[i], 0)[ROWS] for i in chosen]
+    depths = predict_photos(training.model, pairs, "band")
+    measured = [np.where(photos.grids[i] < FARTHEST, photos.grids[i], 0)[ROWS] for i in chosen]
     return Examples(
         [resample(visible(read_photo(pair.photo), "band"), size) for pair in pairs],
-        [cv2.resize(grid, size[::-1], interpolation=cv2.INTER_NEAREST) for grid in scored],
+        [cv2.resize(grid, size[::-1], interpolation=cv2.INTER_NEAREST) for grid in measured],
         [np.minimum(resize_bilinear(depth, size) * scores.loc[i, "scale_ratio"], FARTHEST) for i, depth in zip(chosen, depths)],
         [pair.photo.name for pair in pairs],
     )

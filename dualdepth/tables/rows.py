@@ -1,6 +1,6 @@
-"""What all tables share: a training's row over its seeds, why a row is empty, and how two trainings compare."""
+"""Rows of tables: means over images and seeds beside the paper's rows, and paired comparisons of two methods."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -9,151 +9,130 @@ import pandas as pd
 from dualdepth import paper
 from dualdepth.evaluation.depth import METRICS
 from dualdepth.evaluation.leaks import check_leak
-from dualdepth.evaluation.statistics import Comparison, compare, mean_std
-from dualdepth.run import Run
-from dualdepth.tables.scoring import score_training, scored_drives, scored_note
-from dualdepth.training.weights import load_card
+from dualdepth.evaluation.statistics import Comparison, compare
+from dualdepth.tables.scores import Scores
 
-Scores = Callable[..., pd.DataFrame]
-"""Of (run, variant, seed): per-image values of a training, such as `score_training`."""
-
-
-def mean_row(frames: Sequence[pd.DataFrame], columns: Sequence[str] = METRICS) -> dict[str, Any]:
-    """Means over images, then over seeds; `<column>_std` is the standard deviation over seeds, empty for one; `n` images."""
-    row: dict[str, Any] = {}
-    for column in columns:
-        row[column], row[f"{column}_std"] = mean_std([frame[column].mean() if len(frame) else np.nan for frame in frames])
-    return row | {"n": min(len(frame) for frame in frames)}
+PAPER, MEASURED, NOT_RUN = "paper", "measured", "not run"
+"""Values of the column `source`."""
+COMPARISON = ["of", "a", "b", "metric", *Comparison._fields, "n", "better", "in_words", "reason"]
+"""Columns of a table of comparisons: `of` says which images or which part of them, `better` is `lower` or `higher` by the metric, `reason`
+says why nothing was compared."""
+LOWER_IS_BETTER = ("abs_rel", "sq_rel", "rmse", "rmse_log", "ate", "t_err")
 
 
-NO_TRUTH = "not run: an own camera has no ground truth"
+def over_seeds(frame: pd.DataFrame, metrics: Iterable[str] = METRICS) -> dict[str, Any]:
+    """Means over images, then over seeds, of rows (seed, image).
 
-
-def training_row(
-    run: Run,
-    variant: str,
-    seeds: Sequence[int],
-    *,
-    scores: Scores = score_training,
-    columns: Sequence[str] = METRICS,
-    own_truth: bool = False,
-) -> dict[str, Any]:
-    """Measured row of a variant over its seeds; one that the profile does not train or cannot score has no numbers and says so.
-
-    `own_truth`: the scores are of another benchmark, which brings its ground truth.
+    `<metric>_std` is the sample standard deviation over seeds, empty for one seed; `n` is the number of images.
     """
-    if not (own_truth or run.profile.data.has_truth):
-        return {"variant": variant, "n": np.nan, "seeds": "", "source": "measured", "note": NO_TRUTH}
-    if variant not in run.profile.train:
-        return {"variant": variant, "source": "measured", "note": f"not run: profile {run.profile.name} does not train it"}
-    values = mean_row([scores(run, variant, seed) for seed in seeds], columns)
-    return {"variant": variant, **values, "seeds": seed_label(seeds), "source": "measured", "note": training_note(run, variant, seeds[0])}
+    of_seed = frame.groupby(level="seed")[list(metrics)].mean()
+    row = {}
+    for metric in of_seed:
+        row |= {metric: of_seed[metric].mean(), f"{metric}_std": of_seed[metric].std()}
+    return row | {"n": frame.groupby(level="seed").size().min()}
 
 
-def seed_label(seeds: Sequence[int]) -> str:
+def not_run(reason: str) -> dict[str, Any]:
+    """What a row says that has no numbers."""
+    return {"source": NOT_RUN, "reason": reason}
+
+
+def training_row(scores: Scores, variant: str, metrics: Iterable[str] = METRICS, part: str | None = None, note: str = "") -> dict[str, Any]:
+    """A variant's row: means over its seeds, what its training was (`note`, with more behind it), and a leak; or why there is none."""
+    if variant in scores.missing:
+        return {"variant": variant, **not_run(scores.missing[variant])}
+    trainings, values = scores.trainings[variant], over_seeds(scores.of(variant, part), metrics)
+    said = {
+        "note": ", ".join(filter(None, [trainings[0].describe(), note])),
+        "leak": check_leak(trainings[0].card, scores.drives, allow=True),
+    }
+    return {"variant": variant, **values, "seeds": seed_label(t.seed for t in trainings), "source": MEASURED, **said}
+
+
+def seed_label(seeds: Iterable[int]) -> str:
     """Seeds as a table has them."""
     return " ".join(map(str, seeds))
 
 
-def training_note(run: Run, variant: str, seed: int, *, drives: Sequence[str] | None = None) -> str:
-    """What a row's training was, from its card: backbone, size, weights it began with, steps; an incomplete test list; a leak.
-
-    `drives` are those of the frames that are scored, where they are not the depth tables' frames.
-    """
-    card, chosen = load_card(run.weights(variant, seed)), run.profile.variant(variant)
-    height, width = run.profile.data.lr_size if chosen.network == "lr" else run.profile.data.hr_size
-    before = f" after {card['starts_from']['steps']} of stage 1" if card["starts_from"] else ""
-    parts = [card["encoder"]] if chosen.network != "hr" else []
-    parts += [f"{height}x{width}", "ImageNet weights" if card["pretrained"] else "no ImageNet weights", f"{card['steps']} steps{before}"]
-    incomplete = scored_note(run) if drives is None else ""
-    leak = check_leak(card, scored_drives(run) if drives is None else drives, allow=True)
-    return ", ".join([*parts, "last epoch", *filter(None, [incomplete, leak])])
-
-
 def with_paper(name: str, rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
-    """The paper's table and our rows below it; counts are whole numbers, an empty note is empty."""
+    """The paper's table and our rows below it; counts are whole numbers, words that are missing are empty."""
     table = pd.concat([paper.table(name), pd.DataFrame(list(rows))], ignore_index=True)
+    words = ("seeds", "note", "reason", "leak")
+    table = table.reindex(columns=[*(c for c in table if c not in words), *words])
     if "n" in table:
         table["n"] = table["n"].astype("Int64")
-    return table.fillna({"note": "", "seeds": ""})
+    return _with_words(table, words)
 
 
-def compare_trainings(
-    run: Run,
-    pairs: Sequence[tuple[str, str]],
-    seeds: Sequence[int],
-    *,
-    metrics: Sequence[str] = ("abs_rel", "a1"),
-    scores: Scores = score_training,
-    own_truth: bool = False,
-) -> pd.DataFrame:
-    """Paired differences between variants, image by image and seed by seed.
+def paired(
+    scores: Scores, a: str, b: str, metrics: Iterable[str] = ("abs_rel", "a1"), *, part: str | None = None, block: int = 1, of: str = ""
+) -> list[dict[str, Any]]:
+    """Rows of `COMPARISON`: two methods over the images that both have, image by image and seed by seed; a is said to be better.
 
-    Of each pair (a, b), a is the one that the paper says is better; for `own_truth` see `training_row`.
-
-    Returns:
-        Rows per pair and metric: both means, the difference a − b, its 95 % interval over images, its spread over seeds, and in words
-        whether a is better, judged by both. A pair that cannot be compared has words alone.
+    A method that knows no seed stands against every seed of the other. For `block` see `paired_bootstrap`.
     """
+    place = {"of": of or part or "", "a": a, "b": b}
+    if reason := _why_not(scores, a, b):
+        return [place | {"metric": "", "reason": reason}]
     rows = []
-    for a, b in pairs:
-        reason = _why_not(run, a, b, seeds) if own_truth or run.profile.data.has_truth else NO_TRUTH
-        if reason:
-            rows.append({"a": a, "b": b, "metric": "", "in_words": reason})
-            continue
-        frames = [[scores(run, variant, seed) for seed in seeds] for variant in (a, b)]
-        shared = frames[0][0].index
-        for frame in (*frames[0], *frames[1]):
-            shared = shared.intersection(frame.index)
-        for metric in metrics:
-            values = [[frame.loc[shared, metric].to_numpy() for frame in method] for method in frames]
-            rows.append({"a": a, "b": b, "metric": metric} | comparison_row(*values, lower_is_better=metric in LOWER_IS_BETTER))
-    return pd.DataFrame(rows, columns=COMPARISON)
+    for metric in metrics:
+        of_a, of_b = (scores.of(method, part)[metric].unstack("seed").dropna() for method in (a, b))
+        shared = of_a.index.intersection(of_b.index)
+        values = np.broadcast_arrays(of_a.loc[shared].to_numpy().T, of_b.loc[shared].to_numpy().T)
+        rows.append(place | {"metric": metric} | compared(*values, lower_is_better=metric in LOWER_IS_BETTER, block=block))
+    return rows
 
 
-def compare_gains(
-    run: Run, pair: tuple[str, str], parts: Sequence[str], seeds: Sequence[int], *, scores: Scores, relative: bool = False
-) -> dict[str, Any]:
+def gains(scores: Scores, pair: tuple[str, str], parts: Sequence[str], *, relative: bool = False) -> list[dict[str, Any]]:
     """Is the gain in Abs Rel of a over b, of `pair` = (a, b), larger in the first part than in the second, in the images that have both?
 
-    `scores` takes `part`. Relative gains are in units of b's mean error in the part.
+    Relative gains are in units of b's mean error in the part. A row of `COMPARISON`; none where the pair cannot be compared.
     """
-    gains = []
+    if _why_not(scores, *pair):
+        return []
+    found = []
     for part in parts:
-        after, before = ([scores(run, variant, seed, part=part)["abs_rel"] for seed in seeds] for variant in pair)
-        gains.append([(b - a) / (b.mean() if relative else 1.0) for a, b in zip(after, before)])
-    shared = gains[0][0].index.intersection(gains[1][0].index)
-    first, second = ([gain.loc[shared].to_numpy() for gain in part] for part in gains)
-    return {"metric": "abs_rel"} | comparison_row(first, second, lower_is_better=False)
+        after, before = (scores.of(method, part)["abs_rel"].unstack("seed") for method in pair)
+        found.append((before - after).dropna() / (before.mean() if relative else 1.0))
+    shared = found[0].index.intersection(found[1].index)
+    first, second = (gain.loc[shared].to_numpy().T for gain in found)
+    name = "relative gain" if relative else "gain"
+    place = {
+        "of": " against ".join(parts),
+        **{side: f"{name} of {pair[0]}, {part}" for side, part in zip("ab", parts)},
+        "metric": "abs_rel",
+    }
+    return [place | compared(first, second, lower_is_better=False)]
 
 
-def _why_not(run: Run, a: str, b: str, seeds: Sequence[int]) -> str:
-    """Why two variants cannot be compared; nothing if they can."""
-    missing = [v for v in (a, b) if v not in run.profile.train]
-    if missing:
-        return f"not run: profile {run.profile.name} does not train {' nor '.join(missing)}"
-    if run.profile.variant(a).stage == run.profile.variant(b).stage:
-        for seed in seeds:
-            of_a, of_b = (load_card(run.weights(variant, seed))["steps"] for variant in (a, b))
-            if of_a != of_b:
-                return f"not compared: {a} was trained for {of_a} steps, {b} for {of_b}"
-    return ""
-
-
-COMPARISON = ["a", "b", "metric", *Comparison._fields, "n", "in_words"]
-"""Columns of a table of comparisons."""
-
-
-def comparison_row(a: Sequence[np.ndarray], b: Sequence[np.ndarray], *, lower_is_better: bool, block: int = 1) -> dict[str, Any]:
-    """Means, difference, intervals and words for per-image values (S, N) of two methods; for `block` see `paired_bootstrap`."""
-    images = len(a[0])
+def compared(a: np.ndarray, b: np.ndarray, *, lower_is_better: bool, block: int = 1) -> dict[str, Any]:
+    """Means, difference, intervals and words for values (S seeds, N images) of two methods."""
+    images = np.shape(a)[1]
+    row = {"n": images, "better": "lower" if lower_is_better else "higher"}
     if images < 2:
-        return {"n": images, "in_words": f"not compared: {images} {'image' if images == 1 else 'images'}"}
+        return row | {"reason": f"{images} {'image' if images == 1 else 'images'}"}
     result = compare(a, b, block=block)
-    return {**result._asdict(), "n": images, "in_words": in_words(result, lower_is_better)}
+    return row | {**result._asdict(), "in_words": in_words(result, lower_is_better)}
 
 
-LOWER_IS_BETTER = ("abs_rel", "sq_rel", "rmse", "rmse_log")
+def comparisons(rows: Iterable[dict[str, Any]], *more: str) -> pd.DataFrame:
+    """The table of comparisons; `more` columns stand behind `of`."""
+    table = pd.DataFrame(list(rows), columns=[COMPARISON[0], *more, *COMPARISON[1:]])
+    return _with_words(table, ["of", *more, "metric", "better", "in_words", "reason"])
+
+
+def _with_words(table: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:
+    """The table with empty text where one of these columns has nothing."""
+    return table.astype(dict.fromkeys(columns, object)).fillna(dict.fromkeys(columns, ""))
+
+
+def _why_not(scores: Scores, a: str, b: str) -> str:
+    """Why two methods cannot be compared; nothing if they can. Trainings of one stage must be equally long."""
+    reasons = dict.fromkeys(scores.missing[method] for method in (a, b) if method in scores.missing)
+    pairs = zip(scores.trainings.get(a, []), scores.trainings.get(b, []))
+    lengths = [(x.card["steps"], y.card["steps"]) for x, y in pairs if x.stage == y.stage] if not reasons else []
+    unequal = [f"{a} was trained for {x} steps, {b} for {y}" for x, y in lengths if x != y]
+    return "; ".join([*reasons, *unequal[:1]])
 
 
 def in_words(result: Comparison, lower_is_better: bool) -> str:
@@ -168,13 +147,36 @@ def in_words(result: Comparison, lower_is_better: bool) -> str:
     return words + f"that over {result.seeds} seeds {'excludes' if result.clear_of_seeds else 'includes'} 0"
 
 
-def readable(table: pd.DataFrame, columns: Sequence[str], digits: int = 3) -> pd.DataFrame:
-    """The table for the eye: `columns` as "mean ± standard deviation over seeds", or the mean alone; empty where there is none."""
+def readable(table: pd.DataFrame, digits: int = 3) -> pd.DataFrame:
+    """The table for the eye: a column with a spread over seeds as "mean ± spread", no columns that are empty or only for programs."""
     shown = table.copy()
-    for column in columns:
-        spread = table.get(f"{column}_std", pd.Series(np.nan, table.index))
-        shown[column] = [
-            "" if pd.isna(mean) else f"{mean:.{digits}f}" + ("" if pd.isna(std) else f" ± {std:.{digits}f}")
-            for mean, std in zip(table[column], spread)
-        ]
-    return shown.drop(columns=[c for c in shown if c.endswith("_std")])
+    for spread in [c for c in table if c.endswith("_std") and c.removesuffix("_std") in table]:
+        column = spread.removesuffix("_std")
+        if pd.api.types.is_numeric_dtype(table[column]):
+            pairs = zip(table[column], table[spread])
+            said = [f"{mean:.{digits}f}" + ("" if pd.isna(std) else f" ± {std:.{digits}f}") for mean, std in pairs]
+            shown[column] = ["" if pd.isna(mean) else words for mean, words in zip(table[column], said)]
+    empty = [c for c in shown if shown[c].isna().all() or (shown[c].astype(str) == "").all()]
+    hidden = {*HIDDEN, *empty, *(c for c in shown if c.endswith("_std") and c.removesuffix("_std") in table)}
+    last = ("seeds", "source", "note", "reason", "leak")
+    return shown[[c for c in shown if c not in (*hidden, *last)] + [c for c in last if c in shown and c not in hidden]]
+
+
+HIDDEN = ("variant", "device")
+"""Columns that are only in the files."""
+
+
+def show(table: pd.DataFrame, digits: int = 3) -> None:
+    """Show a table in a notebook, what was measured in bold type."""
+    from IPython.display import display
+
+    styled = readable(table, digits).style.format(precision=digits, na_rep="").hide(axis="index")
+    display(styled.apply(lambda row: ["font-weight: bold" if row.get("source") == MEASURED else ""] * len(row), axis=1))
+
+
+def tell(comparisons: pd.DataFrame) -> None:
+    """Print a table of comparisons, a line each."""
+    for row in comparisons.itertuples():
+        place = " ".join(filter(None, [row.of, f"seed {row.seed}" if getattr(row, "seed", "") else ""]))
+        said = row.in_words if not row.reason else f"not compared: {row.reason}"
+        print(f"{place + ': ' * bool(place)}{row.a} against {row.b}{', ' * bool(row.metric)}{row.metric}: {said}")

@@ -1,7 +1,6 @@
 """Sharpness: the paper's Tenengrad in every reading of it, and measures that blur cannot please."""
 
-from collections.abc import Iterator, Sequence
-from functools import lru_cache
+from collections.abc import Sequence
 from typing import Any
 
 import cv2
@@ -12,155 +11,131 @@ from dualdepth import paper
 from dualdepth.evaluation.depth import METRICS, resize_bilinear
 from dualdepth.evaluation.regions import POLE, class_errors
 from dualdepth.evaluation.sharpness import boundary_scores, tenengrad
-from dualdepth.evaluation.statistics import mean_std
 from dualdepth.run import Run
-from dualdepth.tables.rows import COMPARISON, NO_TRUTH, compare_trainings, mean_row, seed_label, training_note, training_row, with_paper
-from dualdepth.tables.scoring import Predictions, dense_truth, label_map, scored_frames
+from dualdepth.tables.rows import MEASURED, comparisons, not_run, over_seeds, paired, training_row, with_paper
+from dualdepth.tables.scores import NO_TRUTH, Scores, Trained, collect, scored
 
-ROWS = {"lr": "w/o HR-Net", "dual": "w/ HR-Net"}
+METHODS = {"lr": "w/o HR-Net", "dual": "w/ HR-Net"}
+DETAILED = ("lr", "dual_no_sa", "dual")
 THRESHOLDS = {"depth, m": (0, 2, 5, 10, 20, 50, 100), "inverse depth / its mean": (0, 0.1, 0.25, 0.5, 1, 2, 4)}
 """t of the sweep, in the unit of the map; a Sobel filter's answer is eight times the step from pixel to pixel."""
 SIZES = ("native", "common")
 """Each map at its own size, or all at HR-Net's."""
+READING = ["map", "size", "threshold"]
+BOUNDARY_COLUMNS = ("f1", "lateral_precision", "lateral_recall", "lateral_f1")
+NO_DENSE_TRUTH = "needs exact dense depth, which the laser does not give"
 
 
-def _maps(run: Run, variant: str, seed: int) -> Iterator[tuple[str, str, np.ndarray]]:
-    """(map, size, values) of every scored image of a training."""
-    predicted = Predictions(run, variant, seed)
-    for image in predicted.scores.index:
-        for size in SIZES:
-            shape = predicted.disparities[image].shape if size == "native" else run.profile.data.hr_size
-            inverse = resize_bilinear(np.asarray(predicted.disparities[image]), shape)
-            yield "depth, m", size, predicted.depth(image, shape)
-            yield "inverse depth / its mean", size, inverse / inverse.mean()
+def readings(training: Trained, image: int) -> dict[tuple[str, str, float], float]:
+    """Tenengrad of a scored frame's predicted depth in every reading (map, size, threshold)."""
+    disparity, found = np.asarray(training.disparities[image]), {}
+    for size in SIZES:
+        shape = disparity.shape if size == "native" else training.run.profile.data.hr_size
+        inverse = resize_bilinear(disparity, shape)
+        maps = {"depth, m": training.depth(image, shape), "inverse depth / its mean": inverse / inverse.mean()}
+        for kind, values in maps.items():
+            found |= {(kind, size, t): total for t, total in zip(THRESHOLDS[kind], tenengrad(values, THRESHOLDS[kind]))}
+    return found
 
 
-def sharpness_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
+def tenengrad_scores(run: Run, seeds: Sequence[int]) -> Scores:
+    """Tenengrad of every scored frame, without and with HR-Net; a column for each reading."""
+    return collect(run, METHODS, seeds, lambda t: _by_image({image: readings(t, image) for image in t.scores.index}))
+
+
+def sharpness_table(scores: Scores) -> pd.DataFrame:
     """The paper's two rows, and ours for each map, size and threshold: mean Tenengrad and the ratio w/ over w/o HR-Net.
 
     Means and standard deviations are over seeds. `closest` marks the reading whose ratio is nearest to the paper's; the numbers
     themselves cannot be compared (docs/protocols.md, "Sharpness").
     """
-    missing = [variant for variant in ROWS if variant not in run.profile.train]
-    if missing or not run.profile.data.has_truth:
-        note = f"not run: profile {run.profile.name} does not train {', '.join(missing)}" if run.profile.data.has_truth else NO_TRUTH
-        rows = [{"method": method, "source": "measured", "note": note} for method in ROWS.values()]
-    else:
-        rows = _measured_rows(run, seeds)
-    table = with_paper("sharpness", rows)
     published = paper.table("sharpness").set_index("method")["tenengrad"]
     paper_ratio = published["w/ HR-Net"] / published["w/o HR-Net"]
-    columns = ["map", "size", "threshold", "tenengrad_std", "ratio", "ratio_std", "closest", "n", "seeds"]
-    table = table.reindex(columns=[*table.columns, *(c for c in columns if c not in table)])
+    if scores.missing:
+        rows = [{"method": method, **not_run("; ".join(dict.fromkeys(scores.missing.values())))} for method in METHODS.values()]
+    else:
+        rows = _measured_rows(scores)
+    table = with_paper("sharpness", rows)
+    table = table.reindex(columns=list(dict.fromkeys([*table, *READING, "tenengrad_std", "ratio", "ratio_std", "n"])))
     table.loc[table["source"] == "paper", "ratio"] = [np.nan, paper_ratio]
-    ours = table.loc[(table["source"] == "measured") & (table["ratio"] > 0), "ratio"]
+    ours = table.loc[(table["source"] == MEASURED) & (table["ratio"] > 0), "ratio"]
     table["closest"] = table.index.isin([np.abs(np.log(ours / paper_ratio)).idxmin()] if len(ours) else [])
     return table
 
 
-def _measured_rows(run: Run, seeds: Sequence[int]) -> list[dict[str, Any]]:
-    sums: dict[tuple[str, str, str, int], list[np.ndarray]] = {}
-    for variant in ROWS:
-        for seed in seeds:
-            for kind, size, values in _maps(run, variant, seed):
-                sums.setdefault((kind, size, variant, seed), []).append(tenengrad(values, THRESHOLDS[kind]))
+def _measured_rows(scores: Scores) -> list[dict[str, Any]]:
+    of_seeds = {variant: scores.of(variant).groupby(level="seed").mean() for variant in METHODS}
+    ratios = of_seeds["dual"] / of_seeds["lr"].where(of_seeds["lr"] > 0)
     rows = []
     for kind, thresholds in THRESHOLDS.items():
-        for size in SIZES:
-            # (seeds, thresholds) of each network
-            low, high = (np.array([np.mean(sums[kind, size, variant, seed], axis=0) for seed in seeds]) for variant in ROWS)
-            ratios = np.divide(high, low, out=np.full_like(high, np.nan), where=low > 0)
-            for place, t in enumerate(thresholds):
-                images = len(sums[kind, size, "lr", seeds[0]])
-                shared = {"map": kind, "size": size, "threshold": t, "n": images, "seeds": seed_label(seeds), "source": "measured"}
-                for variant, values in (("lr", low), ("dual", high)):
-                    row = {"method": ROWS[variant], **shared, "note": training_note(run, variant, seeds[0])}
-                    row["tenengrad"], row["tenengrad_std"] = mean_std(values[:, place])
-                    if variant == "dual":
-                        row["ratio"], row["ratio_std"] = mean_std(ratios[:, place])
-                    rows.append(row)
+        for reading in [(kind, size, t) for size in SIZES for t in thresholds]:
+            for variant, method in METHODS.items():
+                totals = of_seeds[variant][reading]
+                row = {"method": method, **dict(zip(READING, reading)), "tenengrad": totals.mean(), "tenengrad_std": totals.std()}
+                if variant == "dual":
+                    row |= {"ratio": ratios[reading].mean(), "ratio_std": ratios[reading].std()}
+                rows.append(row | training_row(scores, variant, ()))
     return rows
 
 
-BOUNDARY_COLUMNS = ("f1", "lateral_precision", "lateral_recall", "lateral_f1")
+def detail_scores(run: Run, seeds: Sequence[int]) -> tuple[Scores, Scores]:
+    """Boundary scores of each scored frame against exact dense depth, and depth metrics of the pixels of poles in each that has some."""
+    frames, farthest = scored(run), run.profile.evaluation.max_depth
+    reason = "" if run.profile.world else NO_DENSE_TRUTH if run.profile.data.has_truth else NO_TRUTH
+
+    def boundaries(training: Trained) -> pd.DataFrame:
+        exact = {image: below_sky(run, image) for image in training.scores.index}
+        return _by_image({image: boundary_scores(training.depth(image, e.shape), e) for image, e in exact.items()})
+
+    def poles(training: Trained) -> pd.DataFrame:
+        found = {}
+        for image in training.scores.index:
+            exact, labels = frames.exact_depth(image), frames.label_map(image)
+            found[image] = class_errors(training.depth(image, exact.shape), exact, labels, [POLE], max_depth=farthest)
+        return _by_image({image: errors for image, errors in found.items() if errors}, [*METRICS, "valid_pixels"])
+
+    return collect(run, DETAILED, seeds, boundaries, reason=reason), collect(run, DETAILED, seeds, poles, reason=reason)
 
 
-@lru_cache(maxsize=64)
-def score_boundaries(run: Run, variant: str, seed: int) -> pd.DataFrame:
-    """Boundary scores of each scored image against exact dense depth; kept while the run is open, since several rows ask for them."""
-    predicted = Predictions(run, variant, seed)
-    rows = {i: boundary_scores(predicted.depth(i, e.shape), e) for i in predicted.scores.index for e in [_exact(run, i)]}
-    return _per_image(rows, BOUNDARY_COLUMNS)
-
-
-def score_ceiling(run: Run, size: tuple[int, int]) -> pd.DataFrame:
+def ceiling(run: Run, size: tuple[int, int]) -> pd.DataFrame:
     """Boundary scores of exact depth itself, shrunk to a network's size and enlarged again: what that size could reach at best."""
     rows = {}
-    for image in range(len(scored_frames(run))):
-        exact = _exact(run, image)
+    for image in range(len(scored(run).frames)):
+        exact = below_sky(run, image)
         shrunk = 1 / cv2.resize(1 / exact, size[::-1], interpolation=cv2.INTER_AREA)
         rows[image] = boundary_scores(resize_bilinear(shrunk, exact.shape), exact)
-    return _per_image(rows, BOUNDARY_COLUMNS)
+    return _by_image(rows)
 
 
-def _exact(run: Run, image: int) -> np.ndarray:
-    """Exact depth (H, W) of an image; the sky counts as the farthest depth."""
-    exact, farthest = dense_truth(run, image), run.profile.evaluation.max_depth
+def below_sky(run: Run, image: int) -> np.ndarray:
+    """Exact depth (H, W) of a scored frame; the sky counts as the farthest depth."""
+    exact, farthest = scored(run).exact_depth(image), run.profile.evaluation.max_depth
     return np.where(exact > 0, np.minimum(exact, farthest), farthest)
 
 
-@lru_cache(maxsize=64)
-def score_poles(run: Run, variant: str, seed: int) -> pd.DataFrame:
-    """Depth metrics of the pixels of poles in each scored image that has some, against exact dense depth."""
-    predicted, rows = Predictions(run, variant, seed), {}
-    for image in predicted.scores.index:
-        exact, labels = dense_truth(run, image), label_map(run, image)
-        depth = predicted.depth(image, exact.shape)
-        found = class_errors(depth, exact, labels, [POLE], max_depth=run.profile.evaluation.max_depth)
-        if found:
-            rows[image] = found
-    return _per_image(rows, (*METRICS, "valid_pixels"))
-
-
-def _per_image(rows: dict[int, dict[str, float]], columns: Sequence[str]) -> pd.DataFrame:
-    return pd.DataFrame.from_dict(rows, orient="index", columns=list(columns)).rename_axis("image")
-
-
-NO_DENSE_TRUTH = "not run: needs exact dense depth, which the laser does not give"
-
-
-def _no_dense_truth(run: Run) -> str:
-    return NO_DENSE_TRUTH if run.profile.data.has_truth else NO_TRUTH
-
-
-def detail_table(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
+def detail_table(run: Run, boundaries: Scores, poles: Scores) -> pd.DataFrame:
     """Boundaries and poles of each network against exact depth, and what its size could reach; rows say why where there is none."""
-    sizes = {"lr": run.profile.data.lr_size, "dual_no_sa": run.profile.data.hr_size, "dual": run.profile.data.hr_size}
     rows = []
-    for variant in sizes:
-        method = run.profile.variant(variant).label
-        if not run.profile.world:
-            rows.append({"method": method, "variant": variant, "source": "measured", "note": _no_dense_truth(run)})
-            continue
-        row = training_row(run, variant, seeds, scores=score_boundaries, columns=BOUNDARY_COLUMNS)
-        poles = training_row(run, variant, seeds, scores=score_poles, columns=("abs_rel", "a1"))
-        renamed = {f"pole_{k}": poles[k] for k in ("abs_rel", "abs_rel_std", "a1", "a1_std", "n") if k in poles}
-        rows.append({"method": method, **row, **renamed})
-    for size in dict.fromkeys(sizes.values()) if run.profile.world else ():
-        values = mean_row([score_ceiling(run, size)], BOUNDARY_COLUMNS)
+    for variant in DETAILED:
+        row = {"method": run.profile.variant(variant).label, **training_row(boundaries, variant, BOUNDARY_COLUMNS)}
+        of_poles = training_row(poles, variant, ("abs_rel", "a1"))
+        rows.append(row | {f"pole_{k}": of_poles[k] for k in ("abs_rel", "abs_rel_std", "a1", "a1_std", "n") if k in of_poles})
+    sizes = (run.profile.data.lr_size, run.profile.data.hr_size)
+    for size in sizes if run.profile.world else ():
+        values = over_seeds(pd.concat({0: ceiling(run, size)}, names=["seed"]), BOUNDARY_COLUMNS)
         note = "no network: exact depth shrunk to this size, so the best that it could reach"
-        rows.append({"method": f"exact depth at {size[0]}x{size[1]}", **values, "source": "measured", "note": note})
+        rows.append({"method": f"exact depth at {size[0]}x{size[1]}", **values, "source": MEASURED, "note": note})
     renamed = {f"{c}{end}": f"boundary_{c}{end}" for c in BOUNDARY_COLUMNS for end in ("", "_std")}
     columns = ["method", "variant", *renamed.values(), "n", "pole_abs_rel", "pole_abs_rel_std", "pole_a1", "pole_a1_std", "pole_n"]
-    return pd.DataFrame(rows).rename(columns=renamed).reindex(columns=[*columns, "seeds", "source", "note"])
+    return pd.DataFrame(rows).rename(columns=renamed).reindex(columns=[*columns, "seeds", "source", "note", "reason", "leak"])
 
 
-def detail_claims(run: Run, seeds: Sequence[int]) -> pd.DataFrame:
-    """The networks against each other at boundaries and on poles, paired; rows say why where there is no exact depth."""
+def detail_claims(boundaries: Scores, poles: Scores) -> pd.DataFrame:
+    """The networks against each other at boundaries and on poles, paired."""
     pairs = [("dual", "lr"), ("dual_no_sa", "lr"), ("dual", "dual_no_sa")]
-    if not run.profile.world:
-        rows = [{"of": "boundaries and poles", "a": a, "b": b, "metric": "", "in_words": _no_dense_truth(run)} for a, b in pairs]
-        return pd.DataFrame(rows, columns=["of", *COMPARISON])
-    boundaries = compare_trainings(run, pairs, seeds, metrics=("f1", "lateral_f1"), scores=score_boundaries)
-    poles = compare_trainings(run, pairs, seeds, scores=score_poles)
-    return pd.concat([boundaries.assign(of="boundaries"), poles.assign(of="poles")], ignore_index=True)[["of", *COMPARISON]]
+    rows = [row for pair in pairs for row in paired(boundaries, *pair, ("f1", "lateral_f1"), of="boundaries")]
+    return comparisons(rows + [row for pair in pairs for row in paired(poles, *pair, of="poles")])
+
+
+def _by_image(rows: dict[int, dict[Any, float]], columns: Sequence[str] | None = None) -> pd.DataFrame:
+    return pd.DataFrame.from_dict(rows, orient="index", columns=columns).rename_axis("image")

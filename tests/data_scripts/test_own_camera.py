@@ -13,7 +13,7 @@ from dualdepth.data.kitti import intrinsics, read_frame_list, read_image
 from dualdepth.data.triplets import load_triplets
 from dualdepth.errors import InputError
 from dualdepth.run import Run
-from dualdepth.tables.scoring import scored_frames, truth
+from dualdepth.tables.scores import Scored
 
 GIVEN = {"intrinsics": "205,205,127.5,107.5"}
 TRAIN, SHOWN = dataset.drive_name(1), dataset.drive_name(2)
@@ -56,8 +56,8 @@ def test_the_chain_reads_it_as_it_reads_kitti_but_has_no_truth(folder, tmp_path,
     assert prepare_data.prepare(run) == (31, 4, 4, 0, 0)
     triplets = load_triplets(run.prepared / "triplets.csv", sources.kitti_root)
     assert all(path.is_file() for triplet in triplets for path in triplet.paths)
-    assert {frame_.drive for frame_ in scored_frames(run)} == {SHOWN}
-    assert [depth.shape for depth in truth(run)] == [SIZE] * 4 and not any(depth.any() for depth in truth(run))
+    assert {frame_.drive for frame_ in Scored(run).frames} == {SHOWN}
+    assert [depth.shape for depth in Scored(run).truth] == [SIZE] * 4 and not any(depth.any() for depth in Scored(run).truth)
 
 
 def test_a_video_becomes_jpeg_frames_with_an_estimate_that_is_said_to_be_one(tmp_path, capsys):

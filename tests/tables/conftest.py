@@ -9,7 +9,9 @@ from dualdepth.evaluation.depth import METRICS
 from dualdepth.files import write_json
 from dualdepth.profile import profile_file, standard_variants
 from dualdepth.run import Run
-from dualdepth.tables import rows
+from dualdepth.tables import scores
+
+DRIVE = "2011_09_26/2011_09_26_drive_0001_sync"
 
 
 @pytest.fixture
@@ -25,9 +27,9 @@ def make_run(tmp_path):
             path.write_text(text)
             profile = str(path)
         run = Run(profile, tmp_path)
-        scored = [["2011_09_26/2011_09_26_drive_0001_sync", i, "image_02"] for i in range(frames)]
         run.prepared.mkdir(parents=True, exist_ok=True)
-        write_json(run.prepared / "test_frames.json", {"frames": scored, "listed": listed or frames})
+        listing = {"frames": [[DRIVE, i, "image_02"] for i in range(frames)], "listed": listed or frames}
+        write_json(run.prepared / "test_frames.json", listing)
         return run
 
     return make
@@ -36,7 +38,7 @@ def make_run(tmp_path):
 @pytest.fixture(autouse=True)
 def cards(monkeypatch):
     """What the cards of trainings say that have no weights, by variant or by variant and seed; what is not given there is usual."""
-    given, real = {}, rows.load_card
+    given, real = {}, scores.load_card
     usual = {"encoder": "resnet18", "pretrained": False, "steps": 100, "starts_from": None, "drives": []}
 
     def card(weights):
@@ -45,7 +47,7 @@ def cards(monkeypatch):
         variant, seed = weights.parts[-3], int(weights.parts[-2].removeprefix("seed"))
         return usual | given.get(variant, {}) | given.get((variant, seed), {})
 
-    monkeypatch.setattr(rows, "load_card", card)
+    monkeypatch.setattr(scores, "load_card", card)
     return given
 
 
@@ -63,11 +65,17 @@ def make_scores():
 
 @pytest.fixture
 def give(monkeypatch):
-    """Makes `score_training` the given function wherever it is the default."""
+    """Makes `Trained.scores` what the given function says of (variant, seed)."""
+    return lambda function: monkeypatch.setattr(scores.Trained, "scores", property(lambda t: function(t.variant, t.seed)))
 
-    def give(scores):
-        for function in (rows.training_row, rows.compare_trainings):
-            monkeypatch.setitem(function.__kwdefaults__, "scores", scores)
+
+@pytest.fixture
+def give_maps(monkeypatch):
+    """Makes `Trained.disparities` what the given function says of (variant, seed), and the scored frames' ground truth some maps."""
+
+    def give(function, truths):
+        monkeypatch.setattr(scores.Trained, "disparities", property(lambda t: function(t.variant, t.seed)))
+        monkeypatch.setattr(scores.Scored, "truth", truths)
 
     return give
 

@@ -14,9 +14,18 @@ from dualdepth.data.depth_maps import save_ground_truth
 from dualdepth.errors import InputError
 from dualdepth.evaluation.make3d import CONVENTIONS, METRICS, ROWS
 from dualdepth.run import Sources
-from dualdepth.tables import make3d, make3d_scoring
-from dualdepth.tables.make3d import NOT_RUN, VARIANTS, load_photos, make3d_claims, make3d_examples, make3d_table, score_make3d
-from dualdepth.tables.rows import COMPARISON
+from dualdepth.tables import make3d, scores
+from dualdepth.tables.make3d import (
+    NO_PHOTOS,
+    VARIANTS,
+    load_photos,
+    make3d_claims,
+    make3d_examples,
+    make3d_scores,
+    make3d_table,
+    score_photos,
+)
+from dualdepth.tables.scores import Trained, trained
 
 FAULT = {"lr": 0.4, "dual_no_sa": 0.3, "dual": 0.2}
 """By how much each network is too far in the right fifth of the photo; elsewhere it is exact."""
@@ -70,16 +79,23 @@ def run(make_run, cards, tmp_path, monkeypatch):
         truths = [grid(int(path.stem[4:])) for path in paths]
         return np.stack([0.7 / ((truth if whole else truth[ROWS]) * wrong) for truth in truths])  # of any scale
 
-    monkeypatch.setattr(make3d_scoring, "code_digest", lambda *steps: "this")  # parses the package at every call
-    for module in (make3d, make3d_scoring):
-        monkeypatch.setattr(module, "load", lambda path, *_: SimpleNamespace(disparities=partial(predict, path.read_text())))
-    untrained = lambda run, seed: SimpleNamespace(disparities=partial(predict, f"untrained {seed}"))  # noqa: E731
-    monkeypatch.setattr(make3d, "untrained_net", untrained)
+    monkeypatch.setattr(scores, "code_digest", lambda *steps: "this")  # parses the package at every call
+    monkeypatch.setattr(scores, "load", lambda path, *_: SimpleNamespace(disparities=partial(predict, path.read_text())))
+    monkeypatch.setattr(make3d, "untrained_net", lambda _, seed: SimpleNamespace(disparities=partial(predict, f"untrained {seed}")))
     return run
 
 
+def table_of(run, seeds):
+    return make3d_table(run, make3d_scores(run, seeds))
+
+
+def score(run, variant="lr", convention="band"):
+    """Asked of a new object, as by another notebook."""
+    return score_photos(Trained(run, variant, 0), load_photos(run), convention)
+
+
 def test_each_network_has_a_row_for_each_convention_below_the_papers(run, check_paper_rows):
-    table = make3d_table(run, [0, 1])
+    table = table_of(run, [0, 1])
     check_paper_rows(table, paper.table("make3d"))
     table = table.query("source == 'measured'")
     assert "Train set mean" not in set(table["method"])  # without training-side laser frames
@@ -98,7 +114,7 @@ def test_each_network_has_a_row_for_each_convention_below_the_papers(run, check_
 
 def test_constants_are_scored_as_the_networks_are_and_the_mean_as_it_is(run):
     save_ground_truth(run.prepared / "baseline_truth.npz", [np.full((8, 9), 12.5)])
-    table = make3d_table(run, [0]).set_index("method")
+    table = table_of(run, [0]).set_index("method")
     grids = [grid(number)[ROWS] for number in range(PHOTOS)]
     expected = [np.abs(1 - np.median(g) / g).mean() for g in grids]
     assert table.loc["Constant depth", "abs_rel"] == pytest.approx(np.mean(expected))
@@ -114,50 +130,46 @@ def test_a_truncated_photo_is_told_in_the_notes_and_two_are_one_too_many(run, tm
         path.write_bytes(path.read_bytes()[:-2])
 
     truncate("img-1.jpg")
-    notes = make3d_table(run, [0]).dropna(subset="variant")["note"]
+    notes = table_of(run, [0]).dropna(subset="variant")["note"]
     assert notes.str.endswith("not fine-tuned; img-1.jpg is truncated").all()
     truncate("img-0.jpg")
     with pytest.raises(InputError, match=r"Test134: img-0\.jpg, img-1\.jpg are truncated; one photo is published so"):
-        make3d_table(run, [0])
+        table_of(run, [0])
 
 
 def test_fewer_photos_than_are_published_are_told_of_real_data(run):
-    assert not make3d_table(run, [0])["note"].str.contains("of 134").any()
+    assert not table_of(run, [0])["note"].str.contains("of 134").any()
     run.profile = run.profile.model_copy(update={"world": None})
-    assert make3d_table(run, [0]).dropna(subset="variant")["note"].str.endswith(f"{PHOTOS} of 134 photos").all()
+    assert table_of(run, [0]).dropna(subset="variant")["note"].str.endswith(f"{PHOTOS} of 134 photos").all()
 
 
 def test_without_make3d_root_the_rows_say_how_to_get_it(run, tmp_path):
     Sources(tmp_path, tmp_path).save(run)
-    measured = make3d_table(run, [0]).query("source == 'measured'")
-    assert len(measured) == 1 + 2 * 4 and measured["note"].eq(NOT_RUN).all()
-    assert measured[["abs_rel", "sq_rel", "rmse"]].isna().all(axis=None)
-    claims = make3d_claims(run, [0])
-    assert list(claims.columns) == COMPARISON and claims["in_words"].tolist() == [NOT_RUN]
-    assert load_photos(run) is None and make3d_examples(run, "lr", 0) is None
-    with pytest.raises(InputError, match="no MAKE3D_ROOT"):
-        score_make3d(run, "lr", 0, convention="band")
+    ours = table_of(run, [0]).query("source == 'not run'")
+    assert len(ours) == 1 + 2 * 4 and ours["reason"].eq(NO_PHOTOS).all()
+    assert ours[["abs_rel", "sq_rel", "rmse"]].isna().all(axis=None)
+    assert make3d_claims(make3d_scores(run, [0]))["reason"].tolist() == [NO_PHOTOS]
+    assert load_photos(run) is None and make3d_examples(trained(run, "lr", 0)) is None
 
 
 def test_the_claim_is_paired_on_the_band(run):
-    claims = make3d_claims(run, [0, 1])
+    claims = make3d_claims(make3d_scores(run, [0, 1]))
     assert claims[["a", "b", "metric", "n"]].values.tolist() == [["dual", "lr", "abs_rel", PHOTOS]]
     assert claims.loc[0, "difference"] == pytest.approx(-0.04) and claims.loc[0, "in_words"].startswith("better by 0.04")
-    assert {convention for _, convention, _ in run.predicted} == {"band"}
 
 
 def test_what_was_scored_is_kept_and_read_again(run):
-    first = score_make3d(run, "lr", 0, convention="band")
+    first = score(run)
     assert (run.training("lr", 0) / "make3d_band.csv").is_file()
-    np.testing.assert_allclose(score_make3d(run, "lr", 0, convention="band"), first, rtol=1e-12)
+    np.testing.assert_allclose(score(run), first, rtol=1e-12)
     assert run.predicted == [("lr 0", "band", PHOTOS)]
-    score_make3d(run, "lr", 0, convention="whole")
+    score(run, convention="whole")
     assert run.predicted[1:] == [("lr 0", "whole", PHOTOS)]
 
 
 @pytest.mark.parametrize("change", ["weights", "photo", "grid", "code"])
 def test_whatever_shapes_the_scores_makes_them_anew(run, tmp_path, monkeypatch, change):
-    old, stamp = score_make3d(run, "lr", 0, convention="band"), run.training("lr", 0) / "make3d_band.json"
+    old, stamp = score(run), run.training("lr", 0) / "make3d_band.json"
     if change == "weights":
         run.weights("lr", 0).write_bytes(b"lr 5")
     elif change == "photo":
@@ -166,23 +178,23 @@ def test_whatever_shapes_the_scores_makes_them_anew(run, tmp_path, monkeypatch, 
     elif change == "grid":
         write_grid(tmp_path / "photos", 0, grid(77))
     else:
-        monkeypatch.setattr(make3d_scoring, "code_digest", lambda *steps: "another")
-    new = score_make3d(run, "lr", 0, convention="band")
+        monkeypatch.setattr(scores, "code_digest", lambda *steps: "another")
+    new = score(run)
     assert len(run.predicted) == 2
     assert (new["abs_rel"] != old["abs_rel"]).any() == (change in ("weights", "grid"))
     assert json.loads(stamp.read_text())["photos"]
 
 
 def test_examples_show_the_band_with_depth_in_metres_where_it_is_scored(run, tmp_path):
-    examples = make3d_examples(run, "dual", 0, count=2, size=(21, 305))
+    examples = make3d_examples(trained(run, "dual", 0), count=2, size=(21, 305))
     assert examples.titles == ["img-0.jpg", "img-2.jpg"]
     for number, image, truth, prediction in zip((0, 2), *examples[:3]):
         assert image.shape == (21, 305, 3) and round(image.mean() / 40) == number
         np.testing.assert_array_equal(truth, grid(number)[ROWS])
         np.testing.assert_allclose(prediction, truth * np.where(np.arange(305) >= 244, 1.2, 1))
-    enlarged = make3d_examples(run, "dual", 0, count=2, size=(42, 610))
+    enlarged = make3d_examples(trained(run, "dual", 0), count=2, size=(42, 610))
     assert {values.shape[:2] for part in enlarged[:3] for values in part} == {(42, 610)}
     np.testing.assert_array_equal(enlarged.truths[1][1::2, 1::2], grid(2)[ROWS])
     write_grid(tmp_path / "photos", 0, np.where(np.arange(305) < 100, 70, 5))  # cells at 70 m are not scored
-    truth = make3d_examples(run, "dual", 0, count=1, size=(21, 305)).truths[0]
+    truth = make3d_examples(trained(run, "dual", 0), count=1, size=(21, 305)).truths[0]
     assert (truth[:, :100] == 0).all() and (truth[:, 100:] == 5).all()

@@ -11,10 +11,9 @@ from dualdepth.evaluation.depth import METRICS
 from dualdepth.evaluation.regions import REGIONS
 from dualdepth.files import write_json
 from dualdepth.run import Sources
-from dualdepth.tables import sa_region
 from dualdepth.tables.rows import COMPARISON
-from dualdepth.tables.sa_region import NO_LABELS, labels_made_by, sa_region_claims, sa_region_table
-from dualdepth.tables.scoring import scored_frames
+from dualdepth.tables.sa_region import NO_LABELS, labels_made_by, region_claims, region_scores, region_table
+from dualdepth.tables.scores import scored
 
 ROAD, GREEN = REGIONS
 FAULT = {("dual_no_sa", ROAD): 0.3, ("dual", ROAD): 0.1, ("dual_no_sa", GREEN): 0.1, ("dual", GREEN): 0.15}
@@ -37,30 +36,29 @@ def labels(image):
 
 
 @pytest.fixture
-def prepare(make_run, monkeypatch, tmp_path):
+def prepare(make_run, give_maps, tmp_path):
     """A run with three scored frames, their label maps, and predictions with the faults."""
-    maps = truths()
 
-    class Given:
-        def __init__(self, run, variant, seed):
-            fault = {region: FAULT[variant, region] + 0.1 * seed * (region == ROAD) for region in REGIONS}
-            where = {region: [np.isin(labels(i), REGIONS[region]) for i in range(3)] for region in REGIONS}
-            wrong = [1 + sum(where[region][i] * fault[region] for region in REGIONS) for i in range(3)]
-            self.disparities = 0.7 / np.stack([t * w for t, w in zip(maps, wrong)])  # of any scale
-
-    monkeypatch.setattr(sa_region, "Predictions", Given)
-    monkeypatch.setattr(sa_region, "truth", lambda run: maps)
+    def disparities(variant, seed):
+        fault = {region: FAULT[variant, region] + 0.1 * seed * (region == ROAD) for region in REGIONS}
+        wrong = [1 + sum(np.isin(labels(i), REGIONS[region]) * fault[region] for region in REGIONS) for i in range(3)]
+        return 0.7 / np.stack([t * w for t, w in zip(truths(), wrong)])  # of any scale
 
     def prepare(*arguments, with_labels=True, **settings):
         run = make_run(*arguments, frames=3, **settings)
         root = tmp_path / "labels"
         Sources(kitti_root=tmp_path, test_list=tmp_path, labels_root=root if with_labels else None).save(run)
-        for image, frame in enumerate(scored_frames(run)):
+        for image, frame in enumerate(scored(run).frames):
             label_path(root, frame).parent.mkdir(parents=True, exist_ok=True)
             cv2.imwrite(str(label_path(root, frame)), labels(image))
         return run
 
+    give_maps(disparities, truths())
     return prepare
+
+
+def table_of(run, seeds):
+    return region_table(run, region_scores(run, seeds))
 
 
 @pytest.fixture
@@ -69,7 +67,7 @@ def run(prepare):
 
 
 def test_faults_of_a_region_show_in_its_rows_alone(run):
-    table = sa_region_table(run, [0, 1]).query("source == 'measured'").set_index(["variant", "region"])
+    table = table_of(run, [0, 1]).query("source == 'measured'").set_index(["variant", "region"])
     assert len(table) == 4
     for (variant, region), fault in FAULT.items():
         row, by_seed = table.loc[(variant, region)], 0.1 * (region == ROAD)
@@ -80,7 +78,7 @@ def test_faults_of_a_region_show_in_its_rows_alone(run):
 
 
 def test_rows_bear_the_papers_names_in_its_order_below_its_rows(run, check_paper_rows):
-    table = sa_region_table(run, [0])
+    table = table_of(run, [0])
     check_paper_rows(table, paper.table("sa_region"))
     measured = table[table["source"] == "measured"]
     assert measured[["region", "method"]].to_numpy().tolist() == paper.table("sa_region")[["region", "method"]].to_numpy().tolist()
@@ -88,7 +86,7 @@ def test_rows_bear_the_papers_names_in_its_order_below_its_rows(run, check_paper
 
 
 def test_notes_say_what_made_the_labels_and_how_many_images_have_the_region(run):
-    notes = sa_region_table(run, [0]).query("source == 'measured'").groupby("region")["note"].unique()
+    notes = table_of(run, [0]).query("source == 'measured'").groupby("region")["note"].unique()
     assert len(notes[ROAD]) == len(notes[GREEN]) == 1
     assert notes[ROAD][0].endswith("last epoch, exact labels")
     assert notes[GREEN][0].endswith("exact labels, 2 of 3 images; the others have fewer than 1 valid pixel of the region")
@@ -99,7 +97,7 @@ def test_labels_of_real_frames_are_named_by_the_file_beside_them(prepare, tmp_pa
     assert labels_made_by(run) == "labels of unknown origin"
     write_json(tmp_path / "labels" / "labels.json", {"model": "some/segformer"})
     assert labels_made_by(run) == "labels by some/segformer"
-    assert "labels by some/segformer" in sa_region_table(run, [0])["note"].iloc[-1]
+    assert "labels by some/segformer" in table_of(run, [0])["note"].iloc[-1]
     for text in ("{}", "[1]", "{"):
         (tmp_path / "labels" / "labels.json").write_text(text)
         with pytest.raises(InputError, match=r"labels\.json: names no model"):
@@ -108,17 +106,16 @@ def test_labels_of_real_frames_are_named_by_the_file_beside_them(prepare, tmp_pa
 
 def test_without_label_maps_the_rows_are_there_and_say_how_to_make_them(prepare):
     run = prepare(with_labels=False)
-    measured = sa_region_table(run, [0]).query("source == 'measured'")
-    assert len(measured) == 4 and measured[[*METRICS, "n"]].isna().all(axis=None) and set(measured["note"]) == {NO_LABELS}
-    claims = sa_region_claims(run, [0, 1])
-    assert claims["region"].tolist() == [ROAD, GREEN] and set(claims["in_words"]) == {NO_LABELS}
-    assert list(claims.columns) == ["region", "seed", *COMPARISON]
+    missing = table_of(run, [0]).query("source == 'not run'")
+    assert len(missing) == 4 and missing[[*METRICS, "n"]].isna().all(axis=None) and set(missing["reason"]) == {NO_LABELS}
+    claims = region_claims(region_scores(run, [0, 1]), [0, 1])
+    assert claims.query("seed == '0 1'")["of"].tolist() == [ROAD, GREEN] and set(claims["reason"]) == {NO_LABELS}
 
 
 def test_attention_is_judged_in_each_region_over_all_seeds_and_for_each(run):
-    claims = sa_region_claims(run, [0, 1])
-    assert list(claims.columns) == ["region", "seed", *COMPARISON]
-    regions = claims.query("a == 'dual' and b == 'dual_no_sa' and metric == 'abs_rel'").set_index(["seed", "region"])
+    claims = region_claims(region_scores(run, [0, 1]), [0, 1])
+    assert list(claims.columns) == ["of", "seed", *COMPARISON[1:]]
+    regions = claims.query("a == 'dual' and b == 'dual_no_sa' and metric == 'abs_rel'").set_index(["seed", "of"])
     assert list(regions.index) == [(seeds, region) for seeds in ("0 1", "0", "1") for region in (ROAD, GREEN)]
     for seeds in ("0 1", "0", "1"):
         assert regions.loc[(seeds, ROAD), "difference"] == pytest.approx(-0.2)
@@ -128,19 +125,13 @@ def test_attention_is_judged_in_each_region_over_all_seeds_and_for_each(run):
     assert regions.loc[("1", ROAD), "mean_b"] == pytest.approx(0.4)
     assert regions.loc[("0 1", ROAD), "in_words"].startswith("better by 0.2: ")
     assert regions.loc[("0 1", GREEN), "in_words"].startswith("worse by 0.05: ")
-    assert set(sa_region_claims(run, [0])["seed"]) == {"0"}
+    assert set(region_claims(region_scores(run, [0]), [0])["seed"]) == {"0"}
 
 
 def test_the_gain_on_road_is_compared_with_that_on_green_in_images_that_have_both(run):
-    rows = sa_region_claims(run, [0, 1]).query("region == 'Road against Tree & grass'").set_index("seed")
+    rows = region_claims(region_scores(run, [0, 1]), [0, 1]).query("of == 'Road against Tree & grass'").set_index("seed")
     row = rows.loc["0 1"]
     assert [row["a"], row["b"]] == ["gain of dual, Road", "gain of dual, Tree & grass"]
     assert [row["mean_a"], row["mean_b"], row["difference"]] == pytest.approx([0.2, -0.05, 0.25])
     assert row["n"] == 2 and row["in_words"].startswith("better by 0.25: ")
     assert rows.loc["1", "difference"] == pytest.approx(0.25)
-
-
-def test_there_is_one_label_map_for_each_ground_truth(run, monkeypatch):
-    monkeypatch.setattr(sa_region, "truth", lambda run: truths()[:2])
-    with pytest.raises(InputError, match="2 ground truths but 3 label maps"):
-        sa_region.score_regions(run, "dual", 0)

@@ -11,8 +11,17 @@ from dualdepth.evaluation.regions import POLE
 from dualdepth.evaluation.sharpness import boundary_scores, tenengrad
 from dualdepth.tables import sharpness
 from dualdepth.tables.rows import COMPARISON
-from dualdepth.tables.scoring import Predictions
-from dualdepth.tables.sharpness import NO_DENSE_TRUTH, THRESHOLDS, detail_claims, detail_table, sharpness_table
+from dualdepth.tables.scores import Scored
+from dualdepth.tables.sharpness import (
+    NO_DENSE_TRUTH,
+    SIZES,
+    THRESHOLDS,
+    detail_claims,
+    detail_scores,
+    detail_table,
+    sharpness_table,
+    tenengrad_scores,
+)
 
 TEXT = """
 about: x
@@ -38,26 +47,28 @@ SCENES = [scene(image) for image in range(2)]
 
 
 @pytest.fixture
-def run(make_run, monkeypatch):
+def run(make_run, give, give_maps, monkeypatch):
     """LR-Net's maps are the exact ones seen at a third of the size, the dual networks' are exact; a later seed is a little off."""
     exact = [np.where(depth > 0, depth, 80) for depth, _ in SCENES]
     small = np.stack([1 / cv2.resize(depth, (64, 64), interpolation=cv2.INTER_AREA) for depth in exact])
     maps = {"lr": small, "dual": 1 / np.stack(exact), "dual_no_sa": 1 / np.stack(exact)}
-
-    class Given(Predictions):
-        def __init__(self, run, variant, seed):
-            self.scores = pd.DataFrame({"scale_ratio": 0.5}, index=pd.RangeIndex(2, name="image"))
-            self.disparities = maps[variant] / (2 + seed)
-            self._settings, self._truth = run.profile.evaluation, exact
-
-    monkeypatch.setattr(sharpness, "Predictions", Given)
-    monkeypatch.setattr(sharpness, "dense_truth", lambda run, image: SCENES[image][0])
-    monkeypatch.setattr(sharpness, "label_map", lambda run, image: SCENES[image][1])
+    give(lambda variant, seed: pd.DataFrame({"scale_ratio": 0.5}, index=pd.RangeIndex(2, name="image")))
+    give_maps(lambda variant, seed: maps[variant] / (2 + seed), exact)
+    monkeypatch.setattr(Scored, "exact_depth", lambda self, image: SCENES[image][0])
+    monkeypatch.setattr(Scored, "label_map", lambda self, image: SCENES[image][1])
     return make_run("own", text=TEXT)
 
 
+def table_of(run, seeds):
+    return sharpness_table(tenengrad_scores(run, seeds))
+
+
+def details_of(run, seeds):
+    return detail_table(run, *detail_scores(run, seeds))
+
+
 def test_every_reading_has_a_row_for_each_network_below_the_papers_with_their_ratio(run, check_paper_rows):
-    table = sharpness_table(run, [0])
+    table = table_of(run, [0])
     check_paper_rows(table, paper.table("sharpness"))
     ratios = table.loc[table["source"] == "paper"].set_index("method")["ratio"]
     assert np.isnan(ratios["w/o HR-Net"]) and ratios["w/ HR-Net"] == pytest.approx(PAPER_RATIO)
@@ -68,7 +79,7 @@ def test_every_reading_has_a_row_for_each_network_below_the_papers_with_their_ra
 
 
 def test_a_row_is_tenengrad_of_the_scaled_or_normalised_map_at_its_size_over_images_and_seeds(run):
-    table = sharpness_table(run, [0, 1]).query("source == 'measured'").set_index(["map", "size", "threshold", "method"])["tenengrad"]
+    table = table_of(run, [0, 1]).query("source == 'measured'").set_index(["map", "size", "threshold", "method"])["tenengrad"]
     small = [cv2.resize(np.where(d > 0, d, 80), (64, 64), interpolation=cv2.INTER_AREA) for d, _ in SCENES]
     # at the second seed depth is half as far again, and clamped at 80 m
     sizes = {"native": small, "common": [resize_bilinear(d, (192, 192)) for d in small]}
@@ -83,7 +94,7 @@ def test_a_row_is_tenengrad_of_the_scaled_or_normalised_map_at_its_size_over_ima
 
 
 def test_the_ratio_is_dual_over_lr_and_three_times_larger_at_native_size(run):
-    measured = sharpness_table(run, [0]).query("source == 'measured'")
+    measured = table_of(run, [0]).query("source == 'measured'")
     with_hr, without = measured.query("method == 'w/ HR-Net'"), measured.query("method == 'w/o HR-Net'")
     known = without["tenengrad"].to_numpy() > 0
     np.testing.assert_allclose(with_hr["ratio"][known], (with_hr["tenengrad"].to_numpy() / without["tenengrad"].to_numpy())[known])
@@ -96,17 +107,11 @@ def test_the_ratio_is_dual_over_lr_and_three_times_larger_at_native_size(run):
 def planted(monkeypatch, values):
     """Makes every Tenengrad 50 without and 60 with HR-Net, except for the (map, size, threshold) of `values`."""
 
-    def maps(run, variant, seed):
-        for kind in THRESHOLDS:
-            for size in ("native", "common"):
-                yield kind, size, (kind, size, variant)
+    def readings(training, image):
+        every = [(kind, size, t) for kind in THRESHOLDS for size in SIZES for t in THRESHOLDS[kind]]
+        return {reading: values.get(reading, (50.0, 60.0))[training.variant == "dual"] for reading in every}
 
-    def given(key, thresholds):
-        kind, size, variant = key
-        return np.array([values.get((kind, size, t), (50.0, 60.0))[variant == "dual"] for t in thresholds])
-
-    monkeypatch.setattr(sharpness, "_maps", maps)
-    monkeypatch.setattr(sharpness, "tenengrad", given)
+    monkeypatch.setattr(sharpness, "readings", readings)
 
 
 def marked(table):
@@ -120,7 +125,7 @@ def test_the_one_row_whose_ratio_is_nearest_to_the_papers_is_marked(run, monkeyp
     near, exact_numbers = ("depth, m", "common", 5), ("inverse depth / its mean", "native", 0.25)
     others = {("depth, m", "native", 0): (10.0, 10.0 * PAPER_RATIO * 1.3), ("depth, m", "native", 2): (10.0, 10.0 * PAPER_RATIO / 1.3)}
     planted(monkeypatch, {near: (10.0, 10.0 * PAPER_RATIO * 1.1), exact_numbers: (20784.4, 106987.2 * 1.2), **others})
-    assert marked(sharpness_table(run, [0])) == [(*near, "w/ HR-Net")]
+    assert marked(table_of(run, [0])) == [(*near, "w/ HR-Net")]
 
 
 def test_nearness_is_by_factor(run, monkeypatch):
@@ -128,27 +133,25 @@ def test_nearness_is_by_factor(run, monkeypatch):
     base = {(m, s, t): (1.0, 100.0) for m, ts in THRESHOLDS.items() for s in ("native", "common") for t in ts}
     # 0.55 is 0.45 off and 1.6 is 0.6 off, but 1.6 is the smaller factor
     planted(monkeypatch, base | {half: (1.0, PAPER_RATIO * 0.55), more: (1.0, PAPER_RATIO * 1.6)})
-    assert marked(sharpness_table(run, [0])) == [(*more, "w/ HR-Net")]
+    assert marked(table_of(run, [0])) == [(*more, "w/ HR-Net")]
 
 
 def test_a_threshold_that_nothing_passes_has_no_ratio_and_is_never_nearest(run, monkeypatch):
     nothing = {(m, s, t): (0.0, 7.0) for m, ts in THRESHOLDS.items() for s in ("native", "common") for t in ts}
     place = ("depth, m", "native", 10)
     planted(monkeypatch, nothing | {place: (2.0, 3.0)})
-    table = sharpness_table(run, [0])
+    table = table_of(run, [0])
     assert table.query("source == 'measured'")["ratio"].notna().sum() == 1
     assert marked(table) == [(*place, "w/ HR-Net")]
     planted(monkeypatch, nothing)
-    assert marked(sharpness_table(run, [0])) == []
+    assert marked(table_of(run, [0])) == []
 
 
 def test_numbers_and_ratios_have_their_spread_over_seeds(run, monkeypatch):
     values = {("lr", 0): 10.0, ("lr", 1): 20.0, ("dual", 0): 40.0, ("dual", 1): 60.0}
-    monkeypatch.setattr(
-        sharpness, "_maps", lambda run, variant, seed: ((k, s, (variant, seed)) for k in THRESHOLDS for s in sharpness.SIZES)
-    )
-    monkeypatch.setattr(sharpness, "tenengrad", lambda key, thresholds: np.full(len(thresholds), values[key]))
-    measured = sharpness_table(run, [0, 1]).query("source == 'measured'")
+    every = [(kind, size, t) for kind in THRESHOLDS for size in SIZES for t in THRESHOLDS[kind]]
+    monkeypatch.setattr(sharpness, "readings", lambda t, image: dict.fromkeys(every, values[t.variant, t.seed]))
+    measured = table_of(run, [0, 1]).query("source == 'measured'")
     for method, mean, std in (("w/o HR-Net", 15, 10 / 2**0.5), ("w/ HR-Net", 50, 20 / 2**0.5)):
         rows = measured[measured["method"] == method]
         np.testing.assert_allclose(rows["tenengrad"], mean)
@@ -160,17 +163,16 @@ def test_numbers_and_ratios_have_their_spread_over_seeds(run, monkeypatch):
 
 
 def test_two_networks_are_needed(run, make_run, check_paper_rows):
-    table = sharpness_table(make_run("other", text=KITTI + "train: {lr: }\n"), [0])
+    table = table_of(make_run("other", text=KITTI + "train: {lr: }\n"), [0])
     check_paper_rows(table, paper.table("sharpness"))
-    assert set(table.columns) == set(sharpness_table(run, [0]).columns)
-    measured = table.query("source == 'measured'")
-    assert measured["method"].tolist() == ["w/o HR-Net", "w/ HR-Net"] and measured["tenengrad"].isna().all()
-    assert measured["note"].eq("not run: profile other does not train dual").all()
-    assert not table["closest"].any()
+    assert set(table.columns) == set(table_of(run, [0]).columns) - {"variant"}
+    ours = table.query("source == 'not run'")
+    assert ours["method"].tolist() == ["w/o HR-Net", "w/ HR-Net"] and ours["tenengrad"].isna().all()
+    assert ours["reason"].eq("profile other does not train dual").all() and not table["closest"].any()
 
 
 def test_exact_maps_beat_blurred_ones_at_boundaries_and_on_poles(run):
-    table = detail_table(run, [0]).set_index("variant")
+    table = details_of(run, [0]).set_index("variant")
     exact, blurred = table.loc["dual"], table.loc["lr"]
     for column in ("boundary_f1", "boundary_lateral_precision", "boundary_lateral_recall", "boundary_lateral_f1", "pole_a1"):
         assert exact[column] == pytest.approx(1), column
@@ -184,13 +186,13 @@ def test_boundaries_are_scored_with_the_sky_at_the_farthest_depth(run):
     depth, _ = SCENES[0]
     small = cv2.resize(np.where(depth > 0, depth, 80), (64, 64), interpolation=cv2.INTER_AREA)
     expected = boundary_scores(resize_bilinear(small, (192, 192)), np.where(depth > 0, depth, 80))
-    row = sharpness.score_boundaries(run, "lr", 0).loc[0]
+    row = detail_scores(run, [0])[0].of("lr").loc[(0, 0)]
     assert row.to_dict() == pytest.approx(expected, rel=1e-6)
     assert 0 < row["lateral_f1"] < 1
 
 
 def test_details_are_means_with_a_spread_over_seeds(run):
-    table = detail_table(run, [0, 1]).set_index("variant")
+    table = details_of(run, [0, 1]).set_index("variant")
     # the second seed's depth is half as far again: wrong on poles, at boundaries only where it meets the clamp
     assert table.loc["dual", "pole_abs_rel"] == pytest.approx(0.25, rel=1e-5)
     assert table.loc["dual", "pole_abs_rel_std"] == pytest.approx(0.5 / 2**0.5, rel=1e-5)
@@ -198,25 +200,25 @@ def test_details_are_means_with_a_spread_over_seeds(run):
 
 
 def test_images_without_a_pole_do_not_count_on_poles(run, monkeypatch):
-    monkeypatch.setattr(sharpness, "label_map", lambda run, image: SCENES[image][1] * (image == 1))
-    assert list(sharpness.score_poles(run, "lr", 0).index) == [1]
-    table = detail_table(run, [0]).set_index("variant")
+    monkeypatch.setattr(Scored, "label_map", lambda self, image: SCENES[image][1] * (image == 1))
+    assert list(detail_scores(run, [0])[1].of("lr").index) == [(0, 1)]
+    table = details_of(run, [0]).set_index("variant")
     assert table.loc["lr", "pole_n"] == 1 and table.loc["lr", "n"] == 2
 
 
 def test_real_frames_have_no_exact_depth_and_the_table_and_the_claims_say_so(run, make_run):
     own = make_run("kitti", text=KITTI)
-    table = detail_table(own, [0])
+    table = details_of(own, [0])
     assert table["method"].tolist() == ["LR-Net", "LR-Net + HR-Net, w/o SA", "LR-Net + HR-Net, w/ SA"]
-    assert table["note"].eq(NO_DENSE_TRUTH).all() and not table.select_dtypes("number").notna().any(axis=None)
-    assert list(table.columns) == list(detail_table(run, [0]).columns)
-    claims = detail_claims(own, [0])
-    assert list(zip(claims["a"], claims["b"])) == [("dual", "lr"), ("dual_no_sa", "lr"), ("dual", "dual_no_sa")]
-    assert claims["in_words"].eq(NO_DENSE_TRUTH).all() and list(claims.columns) == ["of", *COMPARISON]
+    assert table["reason"].eq(NO_DENSE_TRUTH).all() and not table.select_dtypes("number").notna().any(axis=None)
+    assert list(table.columns) == list(details_of(run, [0]).columns)
+    claims = detail_claims(*detail_scores(own, [0]))
+    assert list(zip(claims["a"], claims["b"])) == 2 * [("dual", "lr"), ("dual_no_sa", "lr"), ("dual", "dual_no_sa")]
+    assert claims["reason"].eq(NO_DENSE_TRUTH).all() and list(claims.columns) == COMPARISON
 
 
 def test_exact_depth_at_each_size_is_what_that_size_could_reach(run):
-    table = detail_table(run, [0, 1]).set_index("method")
+    table = details_of(run, [0, 1]).set_index("method")
     assert list(table.index[3:]) == ["exact depth at 64x64", "exact depth at 192x192"]
     own, shrunk = table.loc["exact depth at 192x192"], table.loc["exact depth at 64x64"]
     expected = []
@@ -235,7 +237,7 @@ def test_exact_depth_at_each_size_is_what_that_size_could_reach(run):
 
 
 def test_details_are_compared_in_pairs(run):
-    claims = detail_claims(run, [0]).set_index(["of", "a", "b", "metric"])
+    claims = detail_claims(*detail_scores(run, [0])).set_index(["of", "a", "b", "metric"])
     boundaries = claims.loc[("boundaries", "dual", "lr", "lateral_f1")]
     poles = claims.loc[("poles", "dual", "lr", "abs_rel")]
     assert boundaries["difference"] > 0.1 and boundaries["in_words"].startswith("better by")

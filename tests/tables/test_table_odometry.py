@@ -22,14 +22,16 @@ from dualdepth.networks.pose_net import PoseNet
 from dualdepth.profile import load_profile
 from dualdepth.run import Run, Sources
 from dualdepth.tables import odometry as table_module
-from dualdepth.tables import odometry_scoring
-from dualdepth.tables.odometry import odometry_claims, odometry_table, trajectory_table
-from dualdepth.tables.odometry_scoring import (
+from dualdepth.tables import trajectories
+from dualdepth.tables.odometry import OdometryScores, odometry_claims, odometry_scores, odometry_table, trajectory_table
+from dualdepth.tables.scores import Scores, Trained
+from dualdepth.tables.trajectories import (
+    NO_SEQUENCES,
     chain,
     control_poses,
+    follow,
+    follow_control,
     predicted_motions,
-    score_control,
-    score_sequence,
     triplet_snippets,
     true_trajectory,
 )
@@ -126,35 +128,44 @@ def save(run, model, drives):
     save_weights(path, torch.nn.ModuleDict({"pose_net": model.net}), card | words | {"seed": 0})
 
 
+def training(run):
+    """The odometry training, as another notebook sees it."""
+    return Trained(run, "odometry_lr", 0)
+
+
+def part(frame, name):
+    return frame.xs(name, level="part")
+
+
 def test_a_sequence_is_scored_and_its_trajectory_written(run):
-    scores = score_sequence(run, "odometry_lr", 0, "09")
-    assert {k: len(v) for k, v in scores.snippets.items()} == {3: 6, 5: 4}
-    assert set(scores.trajectory) == {"7dof", "none", "scale", "6dof", "scale_7dof"}
+    found = follow(training(run), ("09",))
+    assert found.snippets.groupby(level="part").size().to_dict() == {"09, 3 frames": 6, "09, 5 frames": 4}
+    assert set(found.paths.index.unique("part")) == {f"09, {how}" for how in ("7dof", "none", "scale", "6dof", "scale_7dof")}
     written = read_trajectory(run.results / "trajectories" / "odometry_lr_seed0_09.txt")
-    np.testing.assert_allclose(written.poses, chain(predicted_motions(run, "odometry_lr", 0, "09")), atol=1e-5)
+    np.testing.assert_allclose(written.poses, chain(predicted_motions(training(run), "09")), atol=1e-5)
 
 
 def test_motions_are_kept_and_made_anew_for_other_weights(run, model, monkeypatch):
-    first = predicted_motions(run, "odometry_lr", 0, "09")
+    first = predicted_motions(training(run), "09")
     counted = []
-    original = odometry_scoring.predict_poses
-    monkeypatch.setattr(odometry_scoring, "predict_poses", lambda *a, **k: counted.append(1) or original(*a, **k))
-    np.testing.assert_array_equal(predicted_motions(run, "odometry_lr", 0, "09"), first)
+    original = trajectories.predict_poses
+    monkeypatch.setattr(trajectories, "predict_poses", lambda *a, **k: counted.append(1) or original(*a, **k))
+    np.testing.assert_array_equal(predicted_motions(training(run), "09"), first)
     assert not counted
     with torch.no_grad():
         changed = PoseModel(PoseNet().eval(), SIZE)
     save(run, changed, ["2011_10_03/2011_10_03_drive_0027_sync"])
-    assert np.abs(predicted_motions(run, "odometry_lr", 0, "09") - first).max() > 0 and counted
+    assert np.abs(predicted_motions(training(run), "09") - first).max() > 0 and counted
 
 
 def test_weights_that_saw_the_sequences_raw_drive_are_refused_or_named_in_the_table(run, model):
     drive = "2011_09_30/2011_09_30_drive_0033_sync"
     save(run, model, [drive])
     with pytest.raises(InputError, match=rf"model\.safetensors: was trained on {drive}"):
-        score_sequence(run, "odometry_lr", 0, "09")
+        follow(training(run), ("09",))
     Sources.load(run)._replace(allow_leak=True).save(run)
-    note = odometry_table(run, [0]).query("variant == 'odometry_lr'")["note"].iloc[0]
-    assert f"LEAK: trained on {drive}" in note
+    table = odometry_table(run, odometry_scores(run, [0])).query("variant == 'odometry_lr'")
+    assert table["leak"].eq(f"LEAK: trained on {drive}").all()
 
 
 def test_controls_know_nothing_of_the_images(run):
@@ -162,7 +173,7 @@ def test_controls_know_nothing_of_the_images(run):
     assert control_poses(run, "straight", truth)[3, :3, 3].tolist() == [0, 0, 3]
     # the training sequence goes a metre a frame sideways, as the test sequence does
     np.testing.assert_allclose(control_poses(run, "constant", truth), relative(truth.poses), atol=1e-12)
-    assert score_control(run, "constant", "09").snippets[3]["ate"].max() < 1e-12
+    assert part(follow_control(run, "constant", ("09",)).snippets, "09, 3 frames")["ate"].max() < 1e-12
     np.testing.assert_allclose(control_poses(run, "inverted", truth) @ truth.poses, np.broadcast_to(np.eye(4), (8, 4, 4)), atol=1e-12)
 
 
@@ -170,11 +181,11 @@ def test_inverting_a_snippets_poses_hardly_shows_in_its_score(run):
     path = Sources.load(run).odometry_root / "poses/09.txt"
     poses = winding(8)
     write_trajectory(path, poses)
-    scores = score_control(run, "inverted", "09")
+    found = follow_control(run, "inverted", ("09",))
     cut = snippets(poses, 3)
     expected = snippet_errors(cut, np.linalg.inv(relative(cut)))["ate"]
-    np.testing.assert_allclose(scores.snippets[3]["ate"], expected, atol=1e-9)
-    assert expected.mean() < 0.2 < scores.trajectory["7dof"]["rpe_t"]
+    np.testing.assert_allclose(part(found.snippets, "09, 3 frames")["ate"], expected, atol=1e-9)
+    assert expected.mean() < 0.2 < part(found.paths, "09, 7dof")["rpe_t"].item()
 
 
 def test_a_gap_between_frames_and_fewer_poses_than_frames_are_named(run):
@@ -182,52 +193,56 @@ def test_a_gap_between_frames_and_fewer_poses_than_frames_are_named(run):
     poses = root / "poses/09.txt"
     poses.write_text("".join(poses.read_text().splitlines(keepends=True)[:5]))
     with pytest.raises(InputError, match=r"09\.txt: has 5 poses, but the sequence has a frame 7"):
-        score_control(run, "straight", "09")
+        follow_control(run, "straight", ("09",))
     (root / "sequences/09/image_2/000004.png").unlink()
     with pytest.raises(InputError, match="image_2: frame 4 is missing"):
         true_trajectory(run, "09")
 
 
 def test_the_table_has_the_papers_rows_ours_and_the_controls_at_both_lengths(run):
-    table = odometry_table(run, [0])
-    measured = table[table["source"] == "measured"]
-    assert len(table) - len(measured) == 8
-    assert measured["frames"].tolist() == [3] * 5 + [5] * 5
-    ours = measured[measured["variant"] == "odometry_lr"]
-    expected = score_sequence(run, "odometry_lr", 0, "09").snippets
-    assert ours["snippet_ate_mean_09"].tolist() == pytest.approx([expected[n]["ate"].mean() for n in (3, 5)])
-    assert ours["snippet_ate_std_09"].tolist() == pytest.approx([expected[n]["ate"].std(ddof=0) for n in (3, 5)])
+    table = odometry_table(run, odometry_scores(run, [0]))
+    made = table[table["source"] != "paper"]
+    assert len(table) - len(made) == 8
+    assert made["frames"].tolist() == [3] * 5 + [5] * 5
+    ours = made[made["variant"] == "odometry_lr"]
+    expected = [part(follow(training(run), ("09",)).snippets, f"09, {n} frames")["ate"] for n in (3, 5)]
+    assert ours["snippet_ate_mean_09"].tolist() == pytest.approx([errors.mean() for errors in expected])
+    assert ours["snippet_ate_std_09"].tolist() == pytest.approx([errors.std(ddof=0) for errors in expected])
     assert ours["n"].tolist() == [6, 4]
-    untrained = measured[measured["method"] == "Ours (LR-Net+HR-Net)"]
-    assert untrained["note"].str.contains("not run: profile own does not train it").all() and untrained["snippet_ate_mean_09"].isna().all()
+    missing = made[made["method"] == "Ours (LR-Net+HR-Net)"]
+    assert missing["reason"].eq("profile own does not train odometry_dual").all() and missing["snippet_ate_mean_09"].isna().all()
 
 
 def test_without_the_folder_every_row_says_how_to_get_it(run):
     Sources.load(run)._replace(odometry_root=None).save(run)
-    for table in (odometry_table(run, [0]), trajectory_table(run, [0])):
-        measured = table[table["source"] == "measured"]
-        assert measured["note"].str.startswith("not run: no ODOMETRY_ROOT; get it with").all() and len(measured)
-    assert odometry_claims(run, [0]).empty
+    scores = odometry_scores(run, [0])
+    for table in (odometry_table(run, scores), trajectory_table(run, scores)):
+        ours = table[table["source"] == "not run"]
+        assert ours["reason"].eq(NO_SEQUENCES).all() and len(ours)
+    assert odometry_claims(scores).empty
 
 
-def test_claims_say_which_control_is_beaten(run, monkeypatch):
-    def scores(t_err, ate):
-        trajectory = {"7dof": {"t_err": t_err, "segments": 5}}
-        return odometry_scoring.SequenceScores({3: pd.DataFrame({"ate": ate + np.array([0.0, 1e-3, 2e-3])})}, trajectory)
-
-    monkeypatch.setattr(table_module, "_sequence", lambda run, name, seed, entry: scores(10.0 + seed, 0.02))
-    monkeypatch.setattr(table_module, "_control", lambda run, name, entry: scores({"constant": 10.5}.get(name, 50.0), 0.01))
-    table = odometry_claims(run, [0, 1]).set_index(["b", "metric"])
+def test_claims_say_which_control_is_beaten():
+    methods = {("odometry_lr", 0): (10.0, 0.02), ("odometry_lr", 1): (11.0, 0.02), ("constant", 0): (10.5, 0.01)}
+    methods |= {("straight", 0): (50.0, 0.01), ("inverted", 0): (50.0, 0.01)}
+    ates, paths = {}, {}
+    for (name, seed), (t_err, ate) in methods.items():
+        ates |= {(name, seed, image, "09, 3 frames"): ate + 1e-3 * image for image in range(3)}
+        paths[name, seed, 0, "09, 7dof"] = {"t_err": t_err, "segments": 5}
+    levels = ["variant", "seed", "image", "part"]
+    snippets = Scores(pd.DataFrame({"ate": pd.Series(ates)}).rename_axis(levels), {"odometry_lr": []}, {})
+    whole = Scores(pd.DataFrame.from_dict(paths, orient="index").rename_axis(levels), {"odometry_lr": []}, {})
+    table = odometry_claims(OdometryScores(snippets, whole)).set_index(["b", "metric"])
     assert table.loc[("straight", "t_err"), "in_words"] == "better by 39.5 points of t_err; better with 2 of 2 seeds"
     assert table.loc[("constant", "t_err"), "in_words"] == "the same"
     assert table.loc[("constant", "snippet_ate_3"), "in_words"].startswith("worse by 0.01")
 
 
 def test_a_path_too_short_for_a_segment_says_so(run):
-    table = trajectory_table(run, [0])
+    scores = odometry_scores(run, [0])
+    table = trajectory_table(run, scores)
     assert table["note"].eq("no segment of 100 m: the path is too short")[table["segments"].eq(0)].all()
-    words = odometry_claims(run, [0]).query("metric == 't_err'")["in_words"]
-    assert words.eq("not compared: the path is too short for a segment").all()
+    assert odometry_claims(scores).query("metric == 't_err'")["reason"].eq("the path is too short for a segment").all()
 
 
 def driven(yaws, steps):
@@ -249,7 +264,8 @@ def test_a_pose_net_that_turns_half_as_far_and_always_to_the_left(run, monkeypat
     truth = table_module.true_trajectory(run, "09")._replace(poses=driven(yaws, steps))
     monkeypatch.setattr(table_module, "true_trajectory", lambda run, entry: truth)
     monkeypatch.setattr(table_module, "predicted_motions", lambda *_: motions_of(driven(yaws / 2 - 1, 0.1 * steps)))
-    row = table_module.motion_table(run, [0, 1]).iloc[0]
+    of_seeds = [Trained(run, "odometry_lr", seed) for seed in (0, 1)]
+    row = table_module.motion_table(run, OdometryScores(Scores(None, {"odometry_lr": of_seeds}, {}), None)).iloc[0]
     assert row["yaw_slope"] == pytest.approx(0.5) and row["step_slope"] == pytest.approx(1)
     assert row["yaw_correlation"] == pytest.approx(1) and row["step_correlation"] == pytest.approx(1)
     assert row["yaw_mean_error"] == pytest.approx(-yaws.mean() / 2 - 1)

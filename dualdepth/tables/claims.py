@@ -1,4 +1,4 @@
-"""Which of the paper's numbers and claims hold: ours beside the paper's, and the rules of judgement."""
+"""What the paper claims, which of its claims and numbers hold, and by which rules."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -28,12 +28,6 @@ class Verdict(NamedTuple):
 
     word: str
     why: str = ""
-
-    def columns(self) -> dict[str, str]:
-        """`verdict`, for what was not run with its reason, and `note`."""
-        if self.word == NOT_RUN:
-            return {"verdict": f"{self.word}: {self.why}", "note": ""}
-        return {"verdict": self.word, "note": self.why}
 
 
 def judge_number(paper: float, ours: float, *, spread: float, seeds: int, digit: float, lower_is_better: bool | None) -> Verdict:
@@ -76,103 +70,91 @@ def judge_claim(difference: float, low: float, high: float, *, spread: float, se
 
 
 class Claim(NamedTuple):
-    """A claim of the paper and the row of a table of comparisons that tells."""
+    """A claim: `a` is better than `b` by a row of a table of comparisons (`rows.COMPARISON`)."""
 
     text: str
     table: str
-    """File name, without suffix, in `results/<profile>/tables`."""
-    where: dict[str, str | tuple[str, ...]]
-    """Columns and their values, or those that serve."""
-    lower_is_better: bool
-    needs: tuple[str, dict[str, str], bool] | None = None
-    """Table, row and `lower_is_better` of a difference that must hold as well: to gain more is nothing without a gain."""
+    """Whose comparisons tell: `<table>_claims.csv` in `results/<profile>/tables`."""
+    a: str
+    b: str
+    of: str = ""
+    """Images, or part of them."""
+    metrics: tuple[str, ...] = ("abs_rel", "a1")
+    needs: "Claim | None" = None
+    """What must hold as well: to gain more is nothing without a gain."""
+    of_paper: bool = True
+    """Whether the paper says so; else the table alone has it."""
 
 
-def _pair(text: str, table: str, a: str, b: str, **more: str) -> list[Claim]:
-    return [Claim(text, table, {"a": a, "b": b, "metric": m, **more}, m == "abs_rel") for m in ("abs_rel", "a1")]
-
-
+_FAR = Claim("The gain is clear far away", "distance", "dual", "lr", "> 20 m", ("abs_rel",))
+_ROAD = Claim("SA-Attention helps on road", "sa_region", "dual", "dual_no_sa", "Road", ("abs_rel",))
 CLAIMS = (
-    *_pair("The dual network is better than LR-Net", "ablation_claims", "dual", "lr"),
-    *_pair("HR-Net without SA-Attention is better than LR-Net", "ablation_claims", "dual_no_sa", "lr"),
-    *_pair("SA-Attention adds to it", "ablation_claims", "dual", "dual_no_sa"),
-    *_pair("HR-Net is worse without LR-Net's features", "ablation_claims", "dual", "hr_only"),
-    *_pair("The feature reconstruction loss helps", "ablation_claims", "lr", "lr_no_feature_loss"),
-    *_pair("Augmenting before down-sampling helps", "ablation_claims", "lr", "lr_downsample_first"),
-    Claim(
-        "The gain is largest far away",
-        "distance_claims",
-        {"a": "gain of dual, > 20 m", "metric": "abs_rel"},
-        False,
-        ("distance_claims", {"distance": "> 20 m", "a": "dual", "b": "lr", "metric": "abs_rel"}, True),
-    ),
-    Claim("Edges of the dual network are sharper", "sharpness_claims", {"of": "boundaries", "a": "dual", "b": "lr", "metric": "f1"}, False),
-    Claim("Slim poles are seen", "sharpness_claims", {"of": "poles", "a": "dual", "b": "lr", "metric": "abs_rel"}, True),
-    Claim("SA-Attention helps on road", "sa_region_claims", {"region": "Road", "a": "dual", "b": "dual_no_sa", "metric": "abs_rel"}, True),
+    Claim("The dual network is better than LR-Net", "ablation", "dual", "lr"),
+    Claim("HR-Net without SA-Attention is better than LR-Net", "ablation", "dual_no_sa", "lr"),
+    Claim("SA-Attention adds to it", "ablation", "dual", "dual_no_sa"),
+    Claim("SA-Attention adds to it by its mixing, not by its size", "ablation", "dual", "dual_embedding_only", of_paper=False),
+    Claim("HR-Net is worse without LR-Net's features", "ablation", "dual", "hr_only"),
+    Claim("The feature reconstruction loss helps", "ablation", "lr", "lr_no_feature_loss"),
+    Claim("Augmenting before down-sampling helps", "ablation", "lr", "lr_downsample_first"),
+    Claim("The gain is largest far away", "distance", *("gain of dual, > 20 m", "gain of dual, <= 20 m"), "", ("abs_rel",), _FAR),
+    Claim("Edges of the dual network are sharper", "sharpness", "dual", "lr", "boundaries", ("f1",)),
+    Claim("Slim poles are seen", "sharpness", "dual", "lr", "poles", ("abs_rel",)),
+    _ROAD,
     Claim(
         "SA-Attention helps more on road than on tree & grass",
-        "sa_region_claims",
-        {"a": "gain of dual, Road", "metric": "abs_rel"},
-        False,
-        ("sa_region_claims", {"region": "Road", "a": "dual", "b": "dual_no_sa", "metric": "abs_rel"}, True),
+        *("sa_region", "gain of dual, Road", "gain of dual, Tree & grass", "", ("abs_rel",), _ROAD),
     ),
-    *_pair("The dual network is better than ResNet18 at high resolution", "backbone_claims", "dual", "resnet18"),
-    *_pair("The dual network is better than MobileNet V2 at high resolution", "backbone_claims", "dual", "mobilenet_v2"),
-    *_pair("ImageNet weights help", "backbone_claims", "dual", "dual_scratch"),
-    *(
-        Claim(
-            f"Stage 2 betters the poses of sequence {name}",
-            "odometry_claims",
-            {"sequence": f"sequence {name}", "a": ("odometry_dual", "dual"), "b": ("odometry_lr", "lr"), "metric": "snippet_ate_3"},
-            True,
-        )
-        for name in ("09", "10")
-    ),
+    Claim("The dual network is better than ResNet18 at high resolution", "backbone", "dual", "resnet18"),
+    Claim("The dual network is better than MobileNet V2 at high resolution", "backbone", "dual", "mobilenet_v2"),
+    Claim("ImageNet weights help", "backbone", "dual", "dual_scratch"),
+    Claim("Stage 2 betters the poses of sequence 09", "odometry", "dual", "lr", "sequence 09", ("snippet_ate_3",)),
+    Claim("Stage 2 betters the poses of sequence 10", "odometry", "dual", "lr", "sequence 10", ("snippet_ate_3",)),
 )
 """What the paper claims, as far as a difference tells."""
 
 
+def claims_of(table: str) -> list[Claim]:
+    """The claims that a table tells of."""
+    return [claim for claim in CLAIMS if claim.table == table]
+
+
 def judge_claims(tables: dict[str, pd.DataFrame]) -> pd.DataFrame:
-    """Every claim: both means, the difference, its interval over images, its spread over seeds, the verdict.
+    """Every claim of the paper: both means, the difference, its interval over images, its spread over seeds, the verdict.
 
     `tables` are of comparisons, by file name; one that is missing leaves its claims not run.
     """
     rows = []
-    for claim in CLAIMS:
-        row: dict[str, Any] = {"claim": claim.text, "metric": claim.where["metric"]}
-        found, why = _row(tables.get(claim.table), claim.where), "no comparison was made"
-        if found is None:  # one that could not be compared has no metric, and says why
-            found = _row(tables.get(claim.table), {k: v for k, v in claim.where.items() if k != "metric"})
-            why = why if found is None or pd.notna(found.get("difference")) else str(found["in_words"])
-            rows.append(row | Verdict(NOT_RUN, why.removeprefix("not run: ").removeprefix("not compared: ")).columns())
-            continue
-        numbers = {k: float(found[k]) for k in ("mean_a", "mean_b", "difference", "low", "high", "spread")}
-        verdict = _judge_row(found, claim.lower_is_better)
-        if claim.needs and verdict.word == REPRODUCED:
-            needed = _row(tables.get(claim.needs[0]), claim.needs[1])
-            first = Verdict(NOT_RUN, "no comparison was made") if needed is None else _judge_row(needed, claim.needs[2])
-            if first.word != REPRODUCED:
-                verdict = Verdict(first.word, first.why if first.word == NOT_RUN else "more than the other, but is it a gain at all?")
-        rows.append(row | numbers | {"seeds": found["seeds"], "n": found["n"]} | verdict.columns())
+    for claim in (claim for claim in CLAIMS if claim.of_paper):
+        for metric in claim.metrics:
+            found, verdict = _judge(tables, claim, metric)
+            if claim.needs and verdict.word == REPRODUCED:
+                first = _judge(tables, claim.needs, metric)[1]
+                if first.word != REPRODUCED:
+                    verdict = Verdict(first.word, first.why if first.word == NOT_RUN else "more than the other, but is it a gain at all?")
+            rows.append({"claim": claim.text, "metric": metric, **found, "verdict": verdict.word, "note": verdict.why})
     columns = ["claim", "metric", "mean_a", "mean_b", "difference", "low", "high", "spread", "seeds", "n", "verdict", "note"]
     return pd.DataFrame(rows).reindex(columns=columns)
 
 
-def _judge_row(row: pd.Series, lower_is_better: bool) -> Verdict:
-    """`judge_claim` of a row of comparisons."""
-    values = [float(row[k]) for k in ("difference", "low", "high")]
-    seeds = int(row["seeds"]) if pd.notna(row["seeds"]) else 1
-    verdict = judge_claim(*values, spread=float(row["spread"]), seeds=seeds, lower_is_better=lower_is_better)
-    return verdict if verdict.word != NOT_RUN else Verdict(NOT_RUN, str(row["in_words"]).removeprefix("not compared: "))
-
-
-def _row(table: pd.DataFrame | None, where: Mapping[str, str | int | tuple[str, ...]]) -> pd.Series | None:
-    """The first row with these values; None where there is none."""
-    if table is None or not set(where) <= set(table):
-        return None
-    serving = {column: value if isinstance(value, tuple) else (value,) for column, value in where.items()}
-    mask = np.logical_and.reduce([table[column].isin(v) | table[column].astype(str).isin(v) for column, v in serving.items()])
-    return table[mask].iloc[0] if mask.any() else None
+def _judge(tables: dict[str, pd.DataFrame], claim: Claim, metric: str) -> tuple[dict[str, Any], Verdict]:
+    """The comparison that a claim rests on, and its verdict; nothing where it was not made."""
+    table = tables.get(f"{claim.table}_claims")
+    if table is None or not {"a", "b", "of"} <= set(table):
+        return {}, Verdict(NOT_RUN, "no comparison was made")
+    # the PoseNets that are scored on KITTI have trainings of their own
+    pair = table["a"].str.removeprefix("odometry_").eq(claim.a) & table["b"].str.removeprefix("odometry_").eq(claim.b)
+    rows = table[pair & (table["of"].fillna("").eq(claim.of) if claim.of else True)]
+    rows = rows[rows["metric"].fillna("").isin([metric, ""])]
+    if rows.empty:
+        return {}, Verdict(NOT_RUN, "no comparison was made")
+    row = rows.iloc[0]
+    if pd.isna(row["difference"]):
+        return {}, Verdict(NOT_RUN, row["reason"])
+    found = {name: float(row[name]) for name in ("mean_a", "mean_b", "difference", "low", "high", "spread")}
+    seeds = int(row["seeds"])
+    values = [found[name] for name in ("difference", "low", "high")]
+    verdict = judge_claim(*values, spread=found["spread"], seeds=seeds, lower_is_better=row["better"] == "lower")
+    return found | {"seeds": seeds, "n": row["n"]}, verdict
 
 
 class PaperRow(NamedTuple):
@@ -219,7 +201,7 @@ HIGHER_IS_BETTER = ("a1", "a2", "a3")
 DIGITS = {"params_m": 0.01, "gmacs": 0.01}
 """The last digit that the paper prints, where it is not 0.001."""
 CLOSEST = "not judged: of all readings of the paper's equation the one that comes closest to its ratio"
-COUNTS = ("params_m", "gmacs", "ratio")
+COUNTS = ("params_m", "gmacs")
 """Numbers that are neither better nor worse."""
 
 
@@ -229,7 +211,7 @@ def compare_numbers(tables: dict[str, pd.DataFrame], judged: bool) -> pd.DataFra
     rows = []
     for pair in PAIRS:
         table = tables.get(pair.table)
-        published, ours = _row(table, {"source": "paper"} | pair.paper), _row(table, {"source": "measured"} | pair.ours)
+        published, ours = _row(table, pair.paper, of_paper=True), _row(table, pair.ours, of_paper=False)
         for metric in pair.metrics if published is not None else ():
             if pd.notna(published.get(metric)):
                 words = {"table": pair.table, "row": ", ".join(pair.paper.values()), "metric": metric}
@@ -238,17 +220,31 @@ def compare_numbers(tables: dict[str, pd.DataFrame], judged: bool) -> pd.DataFra
     return pd.DataFrame(rows, columns=columns)
 
 
+def _row(table: pd.DataFrame | None, where: Mapping[str, str | int | tuple[str, ...]], of_paper: bool) -> pd.Series | None:
+    """The first row of the paper, or of ours, with these values; None where there is none."""
+    if table is None or not {"source", *where} <= set(table):
+        return None
+    serving = {column: value if isinstance(value, tuple) else (value,) for column, value in where.items()}
+    masks = [table[column].isin(v) | table[column].astype(str).isin(v) for column, v in serving.items()]
+    mask = np.logical_and.reduce([(table["source"] == "paper") == of_paper, *masks])
+    return table[mask].iloc[0] if mask.any() else None
+
+
 def _number(published: pd.Series, ours: pd.Series | None, metric: str, judged: bool) -> dict[str, Any]:
     paper = float(published[metric])
     if ours is None or pd.isna(ours.get(metric)):
-        note = "no row of ours" if ours is None else str(ours.get("note", "")).rsplit("not run: ", 1)[-1] or "no number"
-        return {"paper": paper} | Verdict(NOT_RUN, note).columns()
+        reason = "no row of ours" if ours is None else str(ours.get("reason", "")) or "no number"
+        return {"paper": paper, "verdict": NOT_RUN, "note": reason}
     value, spread = float(ours[metric]), float(ours.get(f"{metric}_std", np.nan))
     seeds = len(str(ours.get("seeds", "")).split()) or 1
     half = t_interval(spread, seeds) if seeds > 1 and not np.isnan(spread) else np.nan
+    numbers = {"paper": paper, "ours": value, "difference": value - paper, "spread": spread, "low": value - half, "high": value + half}
+    numbers |= {"seeds": ours.get("seeds", ""), "n": ours.get(f"n{metric[-3:]}", ours.get("n"))}
+    if metric == "ratio":
+        return numbers | {"note": CLOSEST}
+    if not judged:
+        return numbers
     lower = None if metric in COUNTS else metric not in HIGHER_IS_BETTER
     settings = {"spread": spread, "seeds": seeds, "digit": DIGITS.get(metric, 0.001), "lower_is_better": lower}
-    verdict = judge_number(paper, value, **settings) if judged and metric != "ratio" else None
-    verdict_columns = verdict.columns() if verdict else {"note": CLOSEST} if metric == "ratio" else {}
-    numbers = {"paper": paper, "ours": value, "difference": value - paper, "spread": spread, "low": value - half, "high": value + half}
-    return numbers | {"seeds": ours.get("seeds", ""), "n": ours.get(f"n{metric[-3:]}", ours.get("n"))} | verdict_columns
+    verdict = judge_number(paper, value, **settings)
+    return numbers | {"verdict": verdict.word, "note": verdict.why}

@@ -1,6 +1,7 @@
-"""Odometry: PoseNet's motions along the test sequences, chained to trajectories, and the controls that they must beat."""
+"""Trajectories of the odometry table: PoseNet's motions along the test sequences, chained, and the controls that they must beat."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -12,28 +13,26 @@ from dualdepth.data.odometry import Trajectory, drives_of, frame_files, poses_pa
 from dualdepth.device import default_device
 from dualdepth.errors import InputError
 from dualdepth.evaluation import odometry
-from dualdepth.evaluation.leaks import check_leak
 from dualdepth.evaluation.odometry import ALIGNMENTS, snippet_errors, snippets, trajectory_errors
-from dualdepth.files import atomic_path, file_digest, write_json
+from dualdepth.files import atomic_path
 from dualdepth.model import load_pose_net, predict_poses
 from dualdepth.run import Run, Sources
-from dualdepth.staleness import code_digest
-from dualdepth.tables.scoring import is_current
-from dualdepth.training.weights import load_card
+from dualdepth.tables.scores import Trained
 
 LENGTHS = (3, 5)
 """Frames of a snippet: 3 as the paper, 5 as Zhou et al."""
 CONTROLS = {"constant": "Constant velocity", "straight": "Straight ahead", "inverted": "Ground truth, every pose inverted"}
 """What needs no learning, or is plainly wrong."""
+NO_SEQUENCES = "no ODOMETRY_ROOT; get it with python data_scripts/download_kitti.py --root DIR --odometry"
 
 
-class SequenceScores(NamedTuple):
-    """How well one trajectory follows one sequence."""
+class Followed(NamedTuple):
+    """How well a trajectory follows the test sequences."""
 
-    snippets: dict[int, pd.DataFrame]
-    """By length: `ate` and `rmse` of each snippet, metres."""
-    trajectory: dict[str, dict[str, float]]
-    """By alignment: t_err, r_err, ate, rpe_t, rpe_r, segments."""
+    snippets: pd.DataFrame
+    """`ate` and `rmse` of each snippet in metres, by (image, part): its number, and such as "09, 3 frames"."""
+    paths: pd.DataFrame
+    """t_err, r_err, ate, rpe_t, rpe_r, segments of the whole trajectory, by (image, part): 0, and such as "09, 7dof"."""
 
 
 def chain(motions: np.ndarray) -> np.ndarray:
@@ -85,23 +84,21 @@ def true_trajectory(run: Run, entry: str) -> Trajectory:
     return Trajectory(np.array(numbers), poses[numbers], False)
 
 
-def predicted_motions(run: Run, variant: str, seed: int, entry: str) -> np.ndarray:
+def predicted_motions(training: Trained, entry: str) -> np.ndarray:
     """PoseNet's motions (N − 2, 2, 4, 4) along a test sequence; kept beside the weights and reused while they fit.
 
     Raises:
         InputError: the weights are missing, or were trained on the sequence.
     """
-    weights = run.require(run.weights(variant, seed), f"of {variant}, seed {seed},")
-    check_leak(load_card(weights), scored_drives(run, [entry]), allow=Sources.load(run).allow_leak, weights=weights)
-    files = list(sequence_frames(run, entry).values())
-    path = run.training(variant, seed) / f"motions_{'_'.join(sequence_of(entry))}.npy"
-    frames = [[str(f.resolve()), f.stat().st_size, f.stat().st_mtime_ns] for f in files]
-    made_from = {"weights": file_digest(weights), "frames": frames, "code": code_digest("predict")}
-    if not is_current(path.with_suffix(".json"), made_from):
+    training.check(scored_drives(training.run, [entry]))
+    files = list(sequence_frames(training.run, entry).values())
+
+    def predict(path: Path) -> None:
         with atomic_path(path) as partial:
-            np.save(partial, predict_poses(load_pose_net(weights, default_device()), files))
-        write_json(path.with_suffix(".json"), made_from)
-    return np.load(path)
+            np.save(partial, predict_poses(load_pose_net(training.weights, default_device()), files))
+
+    frames = [[str(f.resolve()), f.stat().st_size, f.stat().st_mtime_ns] for f in files]
+    return np.load(training.kept(f"motions_{'_'.join(sequence_of(entry))}.npy", {"frames": frames}, predict))
 
 
 def scored_drives(run: Run, entries: Sequence[str]) -> list[str]:
@@ -109,20 +106,33 @@ def scored_drives(run: Run, entries: Sequence[str]) -> list[str]:
     return drives_of(entries, world=run.profile.world is not None)
 
 
-def score_sequence(run: Run, variant: str, seed: int, entry: str) -> SequenceScores:
-    """Score a training's PoseNet on a test sequence, and write its trajectory to `results/<profile>/trajectories`."""
-    motions, truth = predicted_motions(run, variant, seed, entry), true_trajectory(run, entry)
-    poses = chain(motions)
-    write_trajectory(run.results / "trajectories" / f"{variant}_seed{seed}_{sequence_of(entry)[0]}.txt", poses)
-    return _scores(truth, poses, {3: triplet_snippets(motions)})
+def trajectory_file(training: Trained, entry: str) -> Path:
+    """Where the trajectory of a training along a sequence is written, in KITTI's format."""
+    return training.run.results / "trajectories" / f"{training.variant}_seed{training.seed}_{sequence_of(entry)[0]}.txt"
 
 
-def score_control(run: Run, name: str, entry: str) -> SequenceScores:
-    """Score one of `CONTROLS` on a test sequence."""
-    truth = true_trajectory(run, entry)
-    # the field stores snippets, each in its first frame's axes: there the mistake is made
-    cut = {n: odometry.inverted(snippets(truth.poses, n)) for n in LENGTHS if n <= len(truth.poses)} if name == "inverted" else {}
-    return _scores(truth, control_poses(run, name, truth), cut)
+@lru_cache(maxsize=64)
+def follow(training: Trained, entries: tuple[str, ...]) -> Followed:
+    """Score a training's PoseNet on test sequences, and write its trajectories to `results/<profile>/trajectories`."""
+    found = []
+    for entry in entries:
+        motions, truth = predicted_motions(training, entry), true_trajectory(training.run, entry)
+        poses = chain(motions)
+        write_trajectory(trajectory_file(training, entry), poses)
+        found.append(_score(entry, truth, poses, {3: triplet_snippets(motions)}))
+    return _joined(found)
+
+
+@lru_cache(maxsize=64)
+def follow_control(run: Run, name: str, entries: tuple[str, ...]) -> Followed:
+    """Score one of `CONTROLS` on test sequences."""
+    found = []
+    for entry in entries:
+        truth = true_trajectory(run, entry)
+        # the field stores snippets, each in its first frame's axes: there the mistake is made
+        cut = {n: odometry.inverted(snippets(truth.poses, n)) for n in LENGTHS if n <= len(truth.poses)} if name == "inverted" else {}
+        found.append(_score(entry, truth, control_poses(run, name, truth), cut))
+    return _joined(found)
 
 
 def control_poses(run: Run, name: str, truth: Trajectory) -> np.ndarray:
@@ -152,18 +162,21 @@ def known_sequences(run: Run) -> list[str]:
     return known
 
 
-def _scores(truth: Trajectory, poses: np.ndarray, given: dict[int, np.ndarray] | None = None) -> SequenceScores:
-    """Scores of a trajectory; `given` has snippets that are not cut from it."""
-    cut = {length: snippets(poses, length) for length in LENGTHS if length <= len(poses)} | (given or {})
-    prediction = truth._replace(poses=poses)
-    return SequenceScores(
-        {length: snippet_errors(snippets(truth.poses, length), predicted) for length, predicted in cut.items()},
-        {how: trajectory_errors(truth, prediction, how) for how in ALIGNMENTS},
-    )
+def _score(entry: str, truth: Trajectory, poses: np.ndarray, given: dict[int, np.ndarray]) -> Followed:
+    """Scores of a trajectory along one sequence; `given` has snippets that are not cut from it."""
+    cut = {length: snippets(poses, length) for length in LENGTHS if length <= len(poses)} | given
+    prediction, name = truth._replace(poses=poses), sequence_of(entry)[0]
+    errors = {f"{name}, {length} frames": snippet_errors(snippets(truth.poses, length), found) for length, found in cut.items()}
+    paths = {f"{name}, {how}": pd.DataFrame([trajectory_errors(truth, prediction, how)]) for how in ALIGNMENTS}
+    return Followed(*(pd.concat(frames, names=["part", "image"]).swaplevel() for frames in (errors, paths)))
+
+
+def _joined(found: Sequence[Followed]) -> Followed:
+    return Followed(pd.concat([f.snippets for f in found]), pd.concat([f.paths for f in found]))
 
 
 def _root(run: Run) -> Path:
     root = Sources.load(run).odometry_root
     if root is None:
-        raise InputError("the odometry table needs ODOMETRY_ROOT; get it with python data_scripts/download_kitti.py --root DIR --odometry")
+        raise InputError(f"the odometry table: {NO_SEQUENCES}")
     return root

@@ -6,8 +6,8 @@ import pytest
 
 from dualdepth import paper
 from dualdepth.run import project_root
-from dualdepth.tables import verdicts
-from dualdepth.tables.verdicts import (
+from dualdepth.tables import claims
+from dualdepth.tables.claims import (
     CLAIMS,
     NOT_REPRODUCED,
     NOT_RUN,
@@ -61,7 +61,7 @@ def test_a_claim_needs_the_sign_and_both_intervals():
 @pytest.mark.parametrize("name", paper.TABLES)
 def test_every_row_of_the_paper_that_is_its_own_has_a_pair_with_its_metrics(name):
     table, pairs = paper.table(name), [pair for pair in PAIRS if pair.table == name]
-    rows = [verdicts._row(table, pair.paper) for pair in pairs]
+    rows = [claims._row(table, pair.paper, of_paper=True) for pair in pairs]
     own = {"main": [0, 14], "make3d": [8], "sharpness": [1], "odometry": [6, 7]}.get(name, range(len(table)))
     assert {row.name for row in rows} == set(own)
     for pair, row in zip(pairs, rows):
@@ -79,8 +79,9 @@ def test_numbers_stand_beside_the_papers_with_their_interval_or_the_reason_why_n
     assert row["paper"] == 0.132 and row["ours"] == 0.14 and row["seeds"] == "0 1 2"
     assert row["high"] - row["low"] == pytest.approx(2 * 4.3027 * 0.01 / 3**0.5, rel=1e-3)
     assert row["difference"] == pytest.approx(0.008) and row["verdict"] == WITHIN_NOISE
-    table = compare_numbers({"ablation": ablation(note="not run: no GPU")}, judged=True)
-    assert set(table.query("row == 'Baseline (LR-Net only)'")["verdict"]) == {"not run: no GPU"}
+    table = compare_numbers({"ablation": ablation(source="not run", reason="no GPU")}, judged=True)
+    rows = table.query("row == 'Baseline (LR-Net only)'")
+    assert set(rows["verdict"]) == {NOT_RUN} and set(rows["note"]) == {"no GPU"}
 
 
 def test_the_papers_two_regions_are_told_apart():
@@ -108,14 +109,18 @@ def test_numbers_are_judged_only_where_asked():
     ours = {"backbone": "ResNet18", "params_m": 16.313, "gmacs": 99.0, "abs_rel": 0.5, "source": "measured"}
     backbone = pd.concat([paper.table("backbone"), pd.DataFrame([ours])])
     table = compare_numbers({"backbone": backbone}, judged=False).query("row == 'ResNet18'").set_index("metric")
-    assert table["verdict"][["params_m", "gmacs", "abs_rel"]].isna().all() and table["verdict"]["a1"] == "not run: no number"
+    assert (
+        table["verdict"][["params_m", "gmacs", "abs_rel"]].isna().all()
+        and table["verdict"]["a1"] == NOT_RUN
+        and table["note"]["a1"] == "no number"
+    )
     assert table.loc["params_m", "difference"] == pytest.approx(16.313 - 16.43)
     table = compare_numbers({"backbone": backbone}, judged=True).query("row == 'ResNet18'").set_index("metric")["verdict"]
     assert table["params_m"] == REPRODUCED and table["gmacs"] == NOT_REPRODUCED
 
 
 def claims_table(difference, low, high, spread=0.001, seeds=3, **row):
-    pair = {"a": "dual", "b": "lr", "metric": "abs_rel", "mean_a": 0.1, "mean_b": 0.2, "n": 9, "in_words": "words"}
+    pair = {"of": "", "a": "dual", "b": "lr", "metric": "abs_rel", "mean_a": 0.1, "mean_b": 0.2, "n": 9, "better": "lower", "reason": ""}
     return pd.DataFrame([pair | {"difference": difference, "low": low, "high": high, "spread": spread, "seeds": seeds} | row])
 
 
@@ -123,18 +128,19 @@ def test_a_claim_is_judged_by_its_row_or_says_why_not():
     table = judge_claims({"ablation_claims": claims_table(-0.1, -0.2, -0.05)})
     first = table.iloc[0]
     assert first["claim"] == CLAIMS[0].text and first["metric"] == "abs_rel" and first["verdict"] == REPRODUCED
-    assert (table["verdict"].iloc[1:].str.startswith("not run: ")).all()
-    row = claims_table(*5 * [np.nan], metric="", in_words="not run: why not")
-    assert judge_claims({"ablation_claims": row})["verdict"].iloc[0] == "not run: why not"
-    assert judge_claims({})["verdict"].iloc[0] == "not run: no comparison was made"
+    assert table["verdict"].iloc[1:].eq(NOT_RUN).all()
+    row = claims_table(*5 * [np.nan], metric="", reason="why not")
+    for tables, reason in (({"ablation_claims": row}, "why not"), ({}, "no comparison was made")):
+        first = judge_claims(tables).iloc[0]
+        assert (first["verdict"], first["note"]) == (NOT_RUN, reason)
 
 
 @pytest.mark.parametrize(
     ("far", "verdict"), [((-0.1, -0.2, -0.05), REPRODUCED), ((0.02, 0.01, 0.03), NOT_REPRODUCED), ((-0.1, -0.2, 0.1), WITHIN_NOISE)]
 )
 def test_to_gain_more_far_away_is_nothing_without_a_gain(far, verdict):
-    gain = claims_table(0.04, 0.03, 0.05, a="gain of dual, > 20 m", distance="far against near")
-    part = claims_table(*far, distance="> 20 m")
+    gain = claims_table(0.04, 0.03, 0.05, a="gain of dual, > 20 m", b="gain of dual, <= 20 m", better="higher")
+    part = claims_table(*far, of="> 20 m")
     table = judge_claims({"distance_claims": pd.concat([gain, part])}).set_index("claim")
     assert table.loc["The gain is largest far away", "verdict"] == verdict
 
@@ -143,15 +149,15 @@ def test_every_row_and_claim_is_found_in_the_tables_of_the_last_published_run():
     folder = project_root() / "results" / "published" / "miniature" / "tables"
     tables = {path.stem: pd.read_csv(path, dtype={"seeds": str}) for path in folder.glob("*.csv")}
     numbers = compare_numbers(tables, judged=True)
-    assert len(numbers) > 100 and not numbers["verdict"].astype(str).str.contains("no row of ours").any()
-    claims = judge_claims(tables).set_index("claim")["verdict"]
+    assert len(numbers) > 100 and not numbers["note"].eq("no row of ours").any()
+    claims = judge_claims(tables).set_index("claim")["note"]
     # the one needs `dual_no_sa`, which the profile does not train
-    assert set(claims[claims.str.contains("no comparison was made")].index) <= {"SA-Attention helps more on road than on tree & grass"}
+    assert set(claims[claims == "no comparison was made"].index) <= {"SA-Attention helps more on road than on tree & grass"}
 
 
-def test_a_row_is_found_by_any_of_the_values_that_serve():
+def test_the_pose_nets_of_kitti_and_of_the_synthetic_world_are_told_by_their_stage():
     for a, b in (("odometry_dual", "odometry_lr"), ("dual", "lr")):
-        row = {"sequence": "sequence 09", "a": a, "b": b, "metric": "snippet_ate_3"}
-        table = pd.DataFrame([row | {"difference": -1.0, "low": -2.0, "high": -0.5, "spread": np.nan, "seeds": 1, "n": 3}])
-        found = judge_claims({"odometry_claims": table.assign(mean_a=1.0, mean_b=2.0)}).set_index("claim")
-        assert found.loc["Stage 2 betters the poses of sequence 09", "verdict"] == REPRODUCED
+        table = claims_table(-1.0, -2.0, -0.5, of="sequence 09", a=a, b=b, metric="snippet_ate_3")
+        found = judge_claims({"odometry_claims": table}).set_index("claim")["verdict"]
+        assert found["Stage 2 betters the poses of sequence 09"] == REPRODUCED
+        assert found["Stage 2 betters the poses of sequence 10"] == NOT_RUN

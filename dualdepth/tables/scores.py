@@ -1,0 +1,270 @@
+"""Scores of a run: the frames that are scored, a training as it is scored, and one long frame of scores for a table."""
+
+import functools
+import json
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+import torch
+from pydantic import BaseModel, ValidationError
+
+from dualdepth.data.depth_maps import DepthMaps, load_ground_truth
+from dualdepth.data.kitti import Frame, image_path
+from dualdepth.data.label_maps import label_path, read_label_map
+from dualdepth.device import default_device
+from dualdepth.errors import InputError, first_mistake
+from dualdepth.evaluation.depth import METRICS, Parts, evaluate_parts, resize_bilinear, whole
+from dualdepth.evaluation.leaks import check_leak
+from dualdepth.files import atomic_path, file_digest, write_json, write_text
+from dualdepth.model import DepthModel, load
+from dualdepth.networks.architecture import Architecture
+from dualdepth.run import Run, Sources
+from dualdepth.staleness import code_digest
+from dualdepth.training.weights import load_card
+
+NO_TRUTH = "an own camera has no ground truth"
+SHOWN_MEDIAN = 10.0
+"""Median depth that a map without ground truth is shown with: its scale is unknown, and the colour scale goes from 3 to 80."""
+
+
+class _FrameList(BaseModel):
+    """`test_frames.json`: how many frames the list named, and those that are scored."""
+
+    listed: int
+    frames: list[Frame]
+
+
+class Scored:
+    """The frames that a run scores, in the order of their ground truth (notebook 02).
+
+    Raises:
+        InputError: notebook 02 has not been run, or its list of frames is something else.
+    """
+
+    def __init__(self, run: Run) -> None:
+        path = run.require(run.prepared / "test_frames.json", "02_prepare_data")
+        try:
+            found = _FrameList.model_validate_json(path.read_bytes())
+        except ValidationError as error:
+            raise InputError(f"{path}: {first_mistake(error)}; run notebook 02_prepare_data again") from None
+        self.run, self.frames = run, found.frames
+        self.drives = sorted({frame.drive for frame in found.frames})
+        self.note = "" if len(found.frames) == found.listed else f"{len(found.frames)} of {found.listed} frames"
+        """What a table must say of an incomplete list, such as "25 of 697 frames"; else empty."""
+
+    @functools.cached_property
+    def truth(self) -> DepthMaps:
+        """Laser depth (H, W) of each frame in metres, 0 where there is none."""
+        return load_ground_truth(self.run.require(self.run.prepared / "ground_truth.npz", "02_prepare_data"))
+
+    @functools.cached_property
+    def paths(self) -> list[Path]:
+        """Image files."""
+        root = Sources.load(self.run).kitti_root
+        return [path for frame in self.frames if (path := image_path(root, frame))]
+
+    def exact_depth(self, image: int) -> np.ndarray | None:
+        """Exact depth (H, W) in metres, 0 in the sky: the synthetic world has it, real KITTI does not."""
+        frame = self.frames[image]
+        path = self.run.work / "miniature" / "dense_depth" / frame.drive.split("/")[-1] / f"{frame.index:010d}.npy"
+        return np.load(path) if self.run.profile.world else None
+
+    def label_map(self, image: int) -> np.ndarray | None:
+        """Cityscapes training ids (H, W), or None where the run has no label maps; the synthetic world has them."""
+        root = Sources.load(self.run).labels_root
+        return read_label_map(label_path(root, self.frames[image])) if root else None
+
+    def title(self, image: int) -> str:
+        """Drive and number of a frame, for pictures."""
+        return f"{self.frames[image].drive.split('/')[-1]} {self.frames[image].index}"
+
+    @property
+    def unit(self) -> str:
+        """What the colour bar of depth maps says behind its numbers."""
+        return "m" if self.run.profile.data.has_truth else f"(scale unknown: median {SHOWN_MEDIAN:g})"
+
+
+@functools.lru_cache(maxsize=4)
+def scored(run: Run) -> Scored:
+    """`Scored` of a run, read once."""
+    return Scored(run)
+
+
+class Trained:
+    """A training as it is scored: its card, predictions and scores. What is computed is kept beside the weights while it fits them."""
+
+    def __init__(self, run: Run, variant: str, seed: int) -> None:
+        self.run, self.variant, self.seed = run, variant, seed
+        self.stage, self.folder = run.profile.variant(variant).stage, run.training(variant, seed)
+        self.label = run.profile.variant(variant).label
+
+    @functools.cached_property
+    def weights(self) -> Path:
+        """The weights of the last epoch.
+
+        Raises:
+            InputError: they are missing; the message names the notebook that makes them.
+        """
+        notebook = "03_train_lr" if self.stage == "lr" else "04_train_hr"
+        return self.run.require(self.run.weights(self.variant, self.seed), f"{notebook}, variant {self.variant}, seed {self.seed},")
+
+    @functools.cached_property
+    def card(self) -> dict[str, Any]:
+        """What the weights are and what they learned from."""
+        return load_card(self.run.weights(self.variant, self.seed))
+
+    @property
+    def model(self) -> DepthModel:
+        """The depth network in the tables' precision, float32."""
+        return load(self.weights, default_device(), "float32")
+
+    def check(self, drives: Iterable[str]) -> None:
+        """Refuse to score frames of drives that were trained on, unless the run allows it."""
+        check_leak(self.card, drives, allow=Sources.load(self.run).allow_leak, weights=self.weights)
+
+    def describe(self) -> str:
+        """Backbone, input size, weights it began with and steps, from the card."""
+        card, data = self.card, self.run.profile.data
+        network = self.run.profile.variant(self.variant).network
+        height, width = data.lr_size if network == "lr" else data.hr_size
+        before = f" after {card['starts_from']['steps']} of stage 1" if card["starts_from"] else ""
+        parts = [card["encoder"]] if network != "hr" else []
+        parts += [f"{height}x{width}", "ImageNet weights" if card["pretrained"] else "no ImageNet weights"]
+        return ", ".join([*parts, f"{card['steps']} steps{before}", "last epoch"])
+
+    def kept(self, name: str, made_from: dict[str, Any], make: Callable[[Path], None]) -> Path:
+        """The file `name` beside the weights, made anew unless it was made from just this, by just this code."""
+        path = self.folder / name
+        made_from = {"weights": file_digest(self.weights), **made_from, "code": code_digest("predict")}
+        stamp = path.with_suffix(".json")
+        if not (path.exists() and _read_stamp(stamp) == made_from):
+            make(path)
+            write_json(stamp, made_from)
+        return path
+
+    @functools.cached_property
+    def disparities(self) -> np.ndarray:
+        """(N, h, w) of the scored frames, at the network's own size; kept as `disparities.npy`, as the field saves it.
+
+        Raises:
+            InputError: the weights are missing, or were trained on drives of the scored frames.
+        """
+        frames = scored(self.run)
+        self.check(frames.drives)
+
+        def predict(path: Path) -> None:
+            disparities = self.model.disparities(frames.paths)
+            with atomic_path(path) as partial:
+                np.save(partial, disparities)
+
+        return np.load(self.kept("disparities.npy", self._of_frames, predict), mmap_mode="r")
+
+    @property
+    def _of_frames(self) -> dict[str, Any]:
+        """What says that the scored frames are the same."""
+        return {name: file_digest(self.run.prepared / name) for name in ("test_frames.json", "ground_truth.npz")}
+
+    def parts(self, parts: Parts, **options: Any) -> pd.DataFrame:
+        """`evaluate_parts` of the scored frames by the profile's protocol: rows (image, part)."""
+        options = {"name": str(self.folder / "disparities.npy"), "kind": "disparity", **self.run.profile.evaluation.model_dump(), **options}
+        return evaluate_parts(self.disparities, scored(self.run).truth, parts, **options)
+
+    @functools.cached_property
+    def scores(self) -> pd.DataFrame:
+        """Metrics and `scale_ratio` of each scored frame, by its place (`image`); kept as `per_image.csv`.
+
+        Without ground truth no metric has a value, and `scale_ratio` gives the median depth `SHOWN_MEDIAN`.
+        """
+        if not self.run.profile.data.has_truth:
+            frame = pd.DataFrame({name: np.nan for name in METRICS}, index=pd.RangeIndex(len(self.disparities), name="image"))
+            return frame.assign(scale_ratio=[SHOWN_MEDIAN * float(np.median(d)) for d in self.disparities], valid_pixels=0)
+
+        def score(path: Path) -> None:
+            write_text(path, self.parts(whole).droplevel("part").to_csv())
+
+        made_from = self._of_frames | {"evaluation": self.run.profile.digest("evaluation")}
+        return pd.read_csv(self.kept("per_image.csv", made_from, score), index_col="image")
+
+    def depth(self, image: int, size: tuple[int, int] | None = None) -> np.ndarray:
+        """Depth of a scored frame in metres, median-scaled and clamped as it is scored, resized to `size` (H, W) or the ground truth's.
+
+        Without ground truth its unit is a tenth of the map's median.
+        """
+        settings, size = self.run.profile.evaluation, size or scored(self.run).truth[image].shape
+        disparity = np.asarray(self.disparities[image])
+        enlarged = resize_bilinear(1.0 / disparity, size) if settings.resize == "depth" else 1.0 / resize_bilinear(disparity, size)
+        return np.clip(enlarged * self.scores.loc[image, "scale_ratio"], settings.min_depth, settings.max_depth)
+
+
+@functools.lru_cache(maxsize=256)
+def trained(run: Run, variant: str, seed: int) -> Trained:
+    """`Trained`, one of each for a run, so that tables that ask for the same scores compute them once."""
+    return Trained(run, variant, seed)
+
+
+def untrained_net(run: Run, seed: int) -> DepthModel:
+    """LR-Net of a seed before its first step: what the architecture alone gives."""
+    torch.manual_seed(seed)
+    training = run.profile.training
+    architecture = Architecture(network="lr", encoder=training.encoder)
+    card = architecture.model_dump() | {"hr_size": run.profile.data.hr_size}
+    return DepthModel(card, architecture.build(training.pretrained), device=default_device(), precision="float32")
+
+
+class Scores(NamedTuple):
+    """Scores of several methods in one long frame, and why others have none."""
+
+    frame: pd.DataFrame
+    """Metrics, a row per (variant, seed, image), or per (variant, seed, image, part)."""
+    trainings: dict[str, list[Trained]]
+    """Of each variant that was trained: one for each seed."""
+    missing: dict[str, str]
+    """Of each variant without scores: the reason."""
+    drives: Sequence[str] = ()
+    """Drives of the frames that are scored."""
+
+    def of(self, variant: str, part: str | None = None) -> pd.DataFrame:
+        """The rows (seed, image) of a variant, of one part of the images where they have parts; images without that part have no row."""
+        frame = self.frame.loc[variant]
+        return frame if part is None else frame[frame.index.get_level_values("part") == part].droplevel("part")
+
+    def plus(self, name: str, frame: pd.DataFrame) -> "Scores":
+        """With the scores, by image, of a method that knows no seed."""
+        longer = pd.concat([self.frame, pd.concat({(name, 0): frame}, names=["variant", "seed"])])
+        return self._replace(frame=longer)
+
+
+def collect(
+    run: Run,
+    variants: Iterable[str],
+    seeds: Sequence[int],
+    score: Callable[[Trained], pd.DataFrame] = lambda training: training.scores,
+    *,
+    reason: str | None = None,
+    drives: Sequence[str] | None = None,
+) -> Scores:
+    """Scores of trainings, of every seed.
+
+    Args:
+        run, variants, seeds: those that the profile does not train go to `missing`.
+        score: gives the rows of a training, by image, or by (image, part).
+        reason: why nothing can be scored, else empty; None asks whether the run's frames have a ground truth.
+        drives: that the scored images are of, for the guard against leaks; None means those of the depth tables.
+    """
+    if reason is None:
+        reason = "" if run.profile.data.has_truth else NO_TRUTH
+    missing = {v: reason or f"profile {run.profile.name} does not train {v}" for v in variants if reason or v not in run.profile.train}
+    trainings = {v: [trained(run, v, seed) for seed in seeds] for v in variants if v not in missing}
+    frames = {(v, training.seed): score(training) for v, found in trainings.items() for training in found}
+    frame = pd.concat(frames, names=["variant", "seed"]) if frames else pd.DataFrame()
+    return Scores(frame, trainings, missing, drives if drives is not None or reason else scored(run).drives)
+
+
+def _read_stamp(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
