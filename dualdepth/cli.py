@@ -278,7 +278,7 @@ def _report(result: dict[str, float | int | str | None], json_out: str | None) -
         print(f"{name:<{width}}  {shown}")
 
 
-def _reproduce(arguments: argparse.Namespace) -> int:
+def _reproduce(arguments: argparse.Namespace) -> NoReturn:
     from dualdepth.notebooks import run_chain
     from dualdepth.run import ROOTS
 

@@ -92,15 +92,9 @@ def parse_kinds(words: str | None) -> tuple[str, ...] | None:
 
 
 def save(kind: str, path: Path, image: np.ndarray, depth: np.ndarray, style: Style, ends: np.ndarray | None = None) -> None:
-    """Write one result.
+    """Write one result of a `kind` of `SUFFIXES`: of an image (H, W, 3) uint8 RGB and its depth (H, W) float32, scaled.
 
-    Args:
-        kind: a key of `SUFFIXES`.
-        path: of the file.
-        image: (H, W, 3) uint8 RGB.
-        depth: (H, W) float32, scaled.
-        style: what is said of it.
-        ends: of the colour scale; None takes the depth's own, `colour_ends`.
+    `ends` are those of the colour scale; None takes the depth's own, `colour_ends`.
 
     Raises:
         OSError: it cannot be written.
