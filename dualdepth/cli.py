@@ -1,14 +1,16 @@
-"""The command `dualdepth`: one parser, one small `add_*` function per subcommand."""
+"""The command `dualdepth`: what each subcommand takes, and the functions that it calls; these are imported when they are called."""
 
 import argparse
 import sys
+from collections.abc import Callable
+from pathlib import Path
 from typing import NoReturn
 
 from dualdepth import __version__
-from dualdepth.commands.evaluate import add_evaluate
-from dualdepth.commands.predict import add_export, add_predict
-from dualdepth.commands.reproduce import add_notebook, add_reproduce, add_train
-from dualdepth.errors import exit_on_input_error
+from dualdepth.errors import InputError, exit_on_input_error
+from dualdepth.run import add_roots
+
+Commands = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
 
 class OneLineParser(argparse.ArgumentParser):
@@ -18,16 +20,6 @@ class OneLineParser(argparse.ArgumentParser):
         """Print the mistake and where help is, and exit with code 2."""
         print(f"error: {' '.join(message.split())}; see `{self.prog} --help`", file=sys.stderr)
         raise SystemExit(2)
-
-
-def build_parser() -> argparse.ArgumentParser:
-    """The parser with all subcommands; each sets `run`, a function of the parsed arguments that returns the exit code."""
-    parser = OneLineParser(prog="dualdepth", description="Dual networks for high-resolution depth from videos (ICCV 2019), replicated.")
-    parser.add_argument("--version", action="version", version=f"dualdepth {__version__}")
-    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for add in (add_evaluate, add_reproduce, add_train, add_predict, add_export, add_notebook):
-        add(commands)
-    return parser
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -49,6 +41,301 @@ def main(argv: list[str] | None = None) -> int:
         except KeyboardInterrupt:
             print("stopped; the same command goes on where it was", file=sys.stderr)
             return 130
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The parser with all subcommands; each sets `run`, a function of the parsed arguments that returns the exit code."""
+    parser = OneLineParser(prog="dualdepth", description="Dual networks for high-resolution depth from videos (ICCV 2019), replicated.")
+    parser.add_argument("--version", action="version", version=f"dualdepth {__version__}")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    kinds = commands.add_parser("evaluate", help="score predictions by the field's protocols").add_subparsers(
+        title="what to evaluate", metavar="KIND", required=True
+    )
+    _add_depth(kinds)
+    _add_odometry(kinds)
+    _add_chain(commands)
+    _add_predict(commands)
+    _add_export(commands)
+    return parser
+
+
+def _add_depth(kinds: Commands) -> None:
+    parser = kinds.add_parser(
+        "depth",
+        help="the seven depth metrics of a prediction file",
+        description="Score depth predictions by the field's protocol (Eigen split) and print the means over images.",
+    )
+    parser.add_argument("--pred", required=True, metavar="P.npy", help="(N, h, w) float array of predictions, any size")
+    parser.add_argument("--gt", required=True, metavar="G.npz", help="ground truth of data_scripts/export_depth.py: one array per image")
+    _add_choice(parser, "--kind", ("depth", "disparity"), "what P holds")
+    resized = "what is resized to the image's size: depth as SfMLearner and GeoNet, disparity as monodepth2"
+    _add_choice(parser, "--resize", ("depth", "disparity"), resized)
+    _add_choice(parser, "--crop", ("garg", "eigen", "none"), "region that is scored")
+    parser.add_argument("--min-depth", type=float, default=1e-3, metavar="M", help="metres (default: %(default)s)")
+    parser.add_argument("--max-depth", type=float, default=80.0, metavar="M", help="metres (default: %(default)s)")
+    parser.add_argument("--no-median-scaling", dest="median_scaling", action="store_false", help="predictions are in metres already")
+    counted = "pixels that count: ground truth between the depths, or all above 0, as for the improved ground truth"
+    _add_choice(parser, "--valid", ("range", "positive"), counted)
+    parser.add_argument("--allow-pickle", action="store_true", help="read the field's pickled gt_depths.npz; only from a source you trust")
+    _add_json_and_guard(parser, "--list", "FILE", "list of the frames, as given to data_scripts/export_depth.py")
+    parser.set_defaults(run=_evaluate_depth)
+
+
+def _add_odometry(kinds: Commands) -> None:
+    parser = kinds.add_parser(
+        "odometry",
+        help="errors of a camera trajectory against the true one",
+        description="Score a trajectory: KITTI's segments (t_err in %, r_err in degrees per 100 m), whole (ate, rpe_t in m, rpe_r in"
+        " degrees), and SfMLearner's snippets (snippet_ate, sqrt(sum)/N in m; n snippets of consecutive frames).",
+    )
+    file_format = "12 numbers a line ([R|t], camera to world), or 13 with the frame's number first"
+    parser.add_argument("--pred", required=True, metavar="POSES.txt", help=f"KITTI pose file: {file_format}")
+    parser.add_argument("--gt", required=True, metavar="POSES.txt", help="the true poses of the whole sequence, in the same format")
+    _add_choice(parser, "--snippet", (3, 5), "frames in a snippet")
+    laid = "how the prediction is laid on the truth before all but the snippets are scored"
+    _add_choice(parser, "--align", ("7dof", "none", "scale", "6dof", "scale_7dof"), laid)
+    _add_json_and_guard(parser, "--sequence", "09", "KITTI odometry sequence of the poses, which tells its raw drive")
+    parser.set_defaults(run=_evaluate_odometry)
+
+
+def _add_choice(parser: argparse.ArgumentParser, option: str, choices: tuple[str | int, ...], meaning: str) -> None:
+    """Add an option whose first choice is the default."""
+    settings = {"type": type(choices[0]), "choices": choices, "default": choices[0]}
+    parser.add_argument(option, help=f"{meaning} (default: %(default)s)", **settings)
+
+
+def _add_json_and_guard(parser: argparse.ArgumentParser, frames: str, metavar: str, meaning: str) -> None:
+    """Add `--json`, and against leaks `--weights`, the option that names the frames, and `--allow-leak`."""
+    parser.add_argument(
+        "--json", metavar="OUT", help="write the numbers as flat JSON to a file, or with - to standard output alone; null: not measurable"
+    )
+    guard = parser.add_argument_group(
+        "guard against leaks", f"refuses frames of drives that the network was trained on; needs both {frames}"
+    )
+    guard.add_argument("--weights", metavar="W.safetensors", help="weights that predicted; their card says what they were trained on")
+    guard.add_argument(frames, metavar=metavar, help=meaning)
+    guard.add_argument("--allow-leak", action="store_true", help="score all the same, and mark the result")
+
+
+def _add_chain(commands: Commands) -> None:
+    """Add `reproduce`, `train` and `notebook`: the chain of notebooks, one training by hand or under SLURM, one notebook."""
+    reproduce = commands.add_parser("reproduce", help="run all notebooks of a profile in order, and only what is not done yet")
+    train = commands.add_parser("train", help="train one variant of a profile, or go on with it")
+    for parser in (reproduce, train):
+        names = "tiny, miniature, sample, paper, own, or a YAML file (default: %(default)s)"
+        parser.add_argument("--profile", default="miniature", help=names)
+    add_roots(reproduce)
+    reproduce.add_argument("--seeds", default="", metavar="0,1,2", help="seeds to train instead of the profile's")
+    reproduce.add_argument("--cores", default="all", help="cores Snakemake may use (default: %(default)s)")
+    reproduce.add_argument("snakemake", nargs="*", metavar="-- OPTION", help="after --: options for Snakemake, such as --executor slurm")
+    reproduce.set_defaults(run=_reproduce)
+    train.add_argument("--variant", default="lr", help="which network (default: %(default)s)")
+    train.add_argument("--seed", type=int, default=0, help="of initialisation, order and augmentation (default: %(default)s)")
+    train.set_defaults(run=_train)
+    notebook = commands.add_parser("notebook", help="run one notebook by papermill")
+    notebook.add_argument("name", help="such as 03_train_lr")
+    notebook.add_argument("--out", required=True, metavar="FILE", help="where the executed copy goes")
+    notebook.add_argument("--set", nargs="*", default=[], metavar="KEY=VALUE", help="the notebook's parameters")
+    notebook.set_defaults(run=_notebook)
+
+
+def _add_predict(commands: Commands) -> None:
+    parser = commands.add_parser(
+        "predict",
+        help="depth of images, folders and videos with trained weights",
+        description="Predict relative depth of images and videos of any size, at their own size. Depth is relative: its unit is unknown."
+        " A broken file is named and skipped, and the exit code is then 1. The same command goes on where it was stopped: a"
+        " result is kept unless its input, the weights or an option that shapes results has changed since.",
+    )
+    parser.add_argument("inputs", nargs="+", metavar="INPUT", help="image, video, folder of them, or pattern in quotes ('in/**/*.jpg')")
+    weights = "model.safetensors with its card beside it, its folder, or owner/name on the model hub"
+    parser.add_argument("--weights", required=True, metavar="W", help=weights)
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder of the results; predictions.json in it says what is what")
+    parser.add_argument(
+        "--save",
+        metavar="KINDS",
+        help="some of colour (picture with a bar), depth (16-bit PNG, value / 256 as KITTI's), side (image and colours side by side; of a"
+        " video an MP4), npy (float32 array), ply (point cloud), with commas, or all (default: colour,depth of an image, side of a video;"
+        " the others are made of each frame of a video)",
+    )
+    parser.add_argument("--device", metavar="D", help="cpu, cuda, cuda:1, mps (default: a GPU where there is one)")
+    precision = "(default: bf16 on a CUDA GPU that has it, else float32; a CPU without bf16 instructions is very slow in it)"
+    parser.add_argument("--precision", choices=("float32", "bf16"), help=precision)
+    parser.add_argument("--batch-size", type=int, metavar="N", help="images computed together (default: 16 on a GPU or what fits, else 1)")
+    scale = "what depth is multiplied by in all results, such as metres per unit (default: 1)"
+    parser.add_argument("--scale", type=float, default=1.0, metavar="S", help=scale)
+    camera = parser.add_mutually_exclusive_group()
+    camera.add_argument("--intrinsics", type=float, nargs=4, metavar=("FX", "FY", "CX", "CY"), help="in pixels of the input, for ply")
+    camera.add_argument("--focal", type=float, metavar="PX", help="focal length in pixels of the input, for ply")
+    camera.add_argument("--fov", type=float, metavar="DEG", help="horizontal field of view, for ply (default: KITTI's 81.4 degrees)")
+    parser.add_argument("--overwrite", action="store_true", help="make results again that would be kept")
+    parser.set_defaults(run=_predict)
+
+
+def _add_export(commands: Commands) -> None:
+    parser = commands.add_parser(
+        "export",
+        help="write a trained depth network as an ONNX file",
+        description="Write a trained depth network as one ONNX file: image (B, 3, H, W), RGB, float32 in [0, 1] -> disparity (B, 1, h, w)"
+        " of unknown scale; B is free. `dualdepth predict` gives depth = 16 / disparity."
+        " It is compared with PyTorch in ONNX Runtime, and kept only if they agree to a thousandth.",
+    )
+    parser.add_argument("--to", required=True, choices=("onnx",), help="format of the file")
+    parser.add_argument("--weights", required=True, metavar="W.safetensors", help="of a training; their card (.json) lies beside them")
+    parser.add_argument("--out", required=True, metavar="DEPTH.onnx", help="file to write")
+    parser.add_argument("--frames", nargs="+", default=[], metavar="IMAGE", help="compare on these images (default: three made-up ones)")
+    parser.set_defaults(run=_export)
+
+
+def _evaluate_depth(arguments: argparse.Namespace) -> int:
+    """Score a file of predictions."""
+    from dataclasses import fields
+
+    from tqdm import tqdm
+
+    from dualdepth.data.depth_maps import load_ground_truth
+    from dualdepth.data.kitti import read_frame_list
+    from dualdepth.evaluation.depth import Protocol, evaluate, load_predictions, summary
+
+    protocol = {field.name: getattr(arguments, field.name) for field in fields(Protocol)}
+    Protocol(**protocol)
+    leak = _leak_of(arguments, arguments.list, "--list", lambda path: sorted({frame.drive for frame in read_frame_list(path)}))
+    predictions = load_predictions(arguments.pred)
+    ground_truths = load_ground_truth(arguments.gt, allow_pickle=arguments.allow_pickle)
+    count = len(ground_truths)
+    if arguments.list and (frames := len(read_frame_list(arguments.list))) != count:
+        raise InputError(f"{arguments.list}: lists {frames} frames but {arguments.gt} holds {count}; give the list it was made from")
+    if len(predictions) != count:
+        held = f"holds {len(predictions)} predictions but {arguments.gt} holds {count} ground truths"
+        raise InputError(f"{arguments.pred}: {held}; give one for each, in the same order")
+    # shown in a terminal only: a bar in a pipe would break the one-line error
+    shown = tqdm(ground_truths, "scoring", unit="image", disable=None, leave=False)
+    _report(summary(evaluate(predictions, shown, name=arguments.pred, **protocol)) | leak, arguments.json)
+    return 0
+
+
+def _evaluate_odometry(arguments: argparse.Namespace) -> int:
+    """Score a trajectory; what its frames cannot give, such as segments of a path below 100 m, is None, and why stands on stderr."""
+    import math
+
+    from dualdepth.data.odometry import drives_to_guard, pair_frames, read_trajectory
+    from dualdepth.evaluation.odometry import SEGMENTS, snippet_errors, snippets, trajectory_errors
+
+    leak = _leak_of(arguments, arguments.sequence, "--sequence", drives_to_guard)
+    prediction, truth = read_trajectory(arguments.pred), read_trajectory(arguments.gt)
+    frames, poses, true_poses = pair_frames(prediction, truth, (arguments.pred, arguments.gt))
+    if len(frames) < 2:
+        raise InputError(f"{arguments.pred} and {arguments.gt} have only frame {frames[0]} in common; a trajectory needs two")
+    ate = snippet_errors(*(snippets(p, arguments.snippet, frames) for p in (true_poses, poses)))["ate"]
+    numbers = trajectory_errors(truth, prediction, arguments.align)
+    numbers.pop("segments")
+    numbers |= {"snippet_ate_mean": float(ate.mean()), "snippet_ate_std": float(ate.std(ddof=0))}
+    reasons = {
+        "t_err": f"t_err, r_err: none, since no segment of more than {SEGMENTS[0]} m of the true path has both ends predicted",
+        "rpe_t": "rpe_t, rpe_r: none, since no two frames have consecutive numbers",
+        "snippet_ate_mean": f"snippet_ate: none, since no {arguments.snippet} frames have consecutive numbers",
+    }
+    for name, reason in reasons.items():
+        if math.isnan(numbers[name]):
+            print(f"note: {reason}", file=sys.stderr)
+    _report({name: None if math.isnan(value) else value for name, value in numbers.items()} | {"n": len(ate)} | leak, arguments.json)
+    return 0
+
+
+def _leak_of(arguments: argparse.Namespace, given: str | None, option: str, drives: Callable[[str], list[str]]) -> dict[str, str]:
+    """`{"leak": …}` for the result where an allowed leak is, nothing where there is none or nobody asked.
+
+    `given` is what `option` names the frames by, of which `drives` tells the drives. A leak that is not allowed is an `InputError`.
+    """
+    if not (arguments.weights or given):
+        return {}
+    if not (arguments.weights and given):
+        raise InputError(f"--weights and {option} guard together against leaks: give both or neither")
+    from dualdepth.evaluation.leaks import check_leak
+    from dualdepth.training.weights import load_card
+
+    leak = check_leak(load_card(arguments.weights), drives(given), allow=arguments.allow_leak, weights=arguments.weights)
+    return {"leak": leak} if leak else {}
+
+
+def _report(result: dict[str, float | int | str | None], json_out: str | None) -> None:
+    """Print a result as a table, and write it as JSON where `json_out` says; `-` prints the JSON alone. None was not measurable."""
+    import json
+
+    from dualdepth.files import write_json
+
+    if json_out == "-":
+        print(json.dumps(result, allow_nan=False))
+        return
+    if json_out:
+        try:
+            write_json(json_out, result)
+        except OSError as error:
+            raise InputError(f"{json_out}: cannot write the result ({error.strerror})") from None
+    width = max(len(name) for name in result)
+    for name, value in result.items():
+        shown = "none" if value is None else f"{value:.4f}" if isinstance(value, float) else value
+        print(f"{name:<{width}}  {shown}")
+
+
+def _reproduce(arguments: argparse.Namespace) -> NoReturn:
+    from dualdepth.notebooks import run_chain
+    from dualdepth.run import ROOTS
+
+    given = {name: getattr(arguments, name) for name in ROOTS}
+    run_chain(arguments.profile, given, arguments.seeds, arguments.allow_leak, arguments.cores, arguments.snakemake)
+
+
+def _notebook(arguments: argparse.Namespace) -> int:
+    from dualdepth.notebooks import parse_parameters, run_notebook
+
+    run_notebook(arguments.name, arguments.out, parse_parameters(arguments.set))
+    return 0
+
+
+def _train(arguments: argparse.Namespace) -> int:
+    """Train and say where the weights are."""
+    from dualdepth.device import is_main_process
+    from dualdepth.run import Run
+    from dualdepth.training.variants import train_variant
+
+    if not 0 <= arguments.seed < 2**32:
+        raise InputError(f"--seed {arguments.seed}: give a whole number from 0 to 4294967295")
+    weights = train_variant(Run(arguments.profile), arguments.variant, arguments.seed)
+    if is_main_process():
+        print(weights)
+    return 0
+
+
+def _predict(arguments: argparse.Namespace) -> int:
+    """Predict all inputs; 1 where some were broken. Mistakes in what is given are told before the weights are loaded."""
+    from dualdepth.inference.results import Style, parse_kinds
+
+    if arguments.batch_size is not None and arguments.batch_size < 1:
+        raise InputError(f"--batch-size {arguments.batch_size}: must be at least 1")
+    intrinsics = tuple(arguments.intrinsics) if arguments.intrinsics else None
+    style = Style("", arguments.scale, intrinsics, arguments.focal, arguments.fov).check()
+    kinds = parse_kinds(arguments.save)
+
+    from dualdepth.device import keep_freed_memory
+    from dualdepth.files import check_writable
+    from dualdepth.inference.files import find_inputs, predict_files
+    from dualdepth.model import load
+
+    paths = find_inputs(arguments.inputs)
+    keep_freed_memory()
+    model = load(arguments.weights, arguments.device, arguments.precision)
+    check_writable(arguments.out)
+    print(f"{arguments.weights}: {model.about}", flush=True)
+    style, options = style._replace(about=model.about), {"batch_size": arguments.batch_size, "overwrite": arguments.overwrite}
+    return 0 if predict_files(paths, Path(arguments.out), model, style, kinds=kinds, **options) else 1
+
+
+def _export(arguments: argparse.Namespace) -> int:
+    from dualdepth.inference.export import export_onnx
+
+    print(export_onnx(arguments.weights, arguments.out, arguments.frames))
+    return 0
 
 
 if __name__ == "__main__":

@@ -1,27 +1,31 @@
-"""Depth of images with trained weights: `load(weights).predict(image)`."""
+"""A trained network and its card: `load(weights).predict(image)`, disparities for the tables, motions of PoseNet."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from huggingface_hub import ModelCard, ModelHubMixin, hf_hub_download
-from torch import nn
+from huggingface_hub import ModelCard, ModelHubMixin, snapshot_download
+from torch import Tensor, nn
+from tqdm import tqdm
 
+from dualdepth.data.frames import resample
 from dualdepth.data.kitti import read_image
 from dualdepth.device import Precision, choose_device, inference_precision
 from dualdepth.errors import InputError
 from dualdepth.evaluation.depth import resize_bilinear
-from dualdepth.inference.predict import DepthNet, disparities_of, load_depth_net
+from dualdepth.geometry import low_resolution, pose_matrix, to_unit
 from dualdepth.networks.architecture import Architecture
-from dualdepth.training.weights import HUB_CARD, load_card, save_weights
+from dualdepth.networks.pose_net import PoseNet
+from dualdepth.training.weights import HUB_CARD, load_card, load_weights, save_weights
 
 UNIT = 16.0
 """Relative depth is reported as 16 / disparity (1.6 … 1600). Stored as uint16 × 256, as KITTI's, that resolves near depths to 0.25 %."""
+LARGEST_FRAME = 10**8
+"""Pixels of a frame that a card may announce."""
 WEIGHTS = "model.safetensors"
 HUB_OPTIONS = ("revision", "cache_dir", "token", "local_files_only", "force_download")
-"""What `from_pretrained` hands to the model hub."""
 README = """---
 library_name: dualdepth
 pipeline_tag: depth-estimation
@@ -39,9 +43,11 @@ depth = model.predict("street.jpg")  # (H, W) float32, relative depth
 
 `{card}` says which network it is, which drives it was trained on, and by which revision and settings.
 """
+Image = str | Path | np.ndarray
+"""An image file (turned as its EXIF data say; grey, 16-bit and transparent ones are read as 8-bit RGB), or (H, W, 3) uint8 RGB."""
 
 
-class DepthModel(ModelHubMixin):
+class DepthModel(nn.Module, ModelHubMixin):
     """A depth network with its card: images in, relative depth out. `dualdepth.load` makes one from weights.
 
     Args:
@@ -80,20 +86,15 @@ class DepthModel(ModelHubMixin):
         device: str | torch.device | None = None,
         precision: Precision | None = None,
     ) -> None:
-        try:
-            self.architecture = Architecture.of_card(card)
-            height, width = map(int, card["hr_size"])
-            if min(height, width) < 192 or height % 96 or width % 96:
-                raise ValueError(f"hr_size [{height}, {width}]: both sides must be multiples of 96, at least 192")
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"the card names no network of this project ({error}); give network and hr_size") from None
+        super().__init__()
+        self.architecture, self.size = _of_card(card, "the card")
+        """Which network it is, and (height, width) that images are resized to; LR-Net sees a third of it."""
         self.card = card | self.architecture.model_dump()
         """What is known of the weights."""
-        self.size = height, width
-        """(height, width) that images are resized to."""
         self.device = choose_device(device)
         self.precision = inference_precision(precision, self.device)
-        self.net = (net or self.architecture.build()).eval().to(self.device)
+        self.depth_net = (net or self.architecture.build()).to(self.device)
+        self.eval()
 
     @property
     def about(self) -> str:
@@ -106,12 +107,16 @@ class DepthModel(ModelHubMixin):
     def __repr__(self) -> str:
         return f"DepthModel({self.architecture.network}, {self.size[1]}×{self.size[0]}, {self.device}, {self.precision}): {self.about}"
 
-    def predict(self, image: str | Path | np.ndarray) -> np.ndarray:
+    def forward(self, image: Tensor) -> Tensor:
+        """Finest disparity (B, 1, h, w) of images (B, 3, H, W) in [0, 1] of size `size`; LR-Net sees them averaged 3×3, so h = H/3."""
+        seen = low_resolution(image) if self.architecture.sees_low_resolution else image
+        return self.depth_net(seen, scales=1).disparities[0]
+
+    def predict(self, image: Image) -> np.ndarray:
         """Depth of one image.
 
         Args:
-            image: an image file (turned as its EXIF data say; grey, 16-bit and transparent ones are read as 8-bit RGB), or (H, W, 3)
-                uint8 RGB. Any size and aspect ratio: it is resized to the network's size.
+            image: an image file, or (H, W, 3) uint8 RGB; see `Image`. Any size and aspect ratio: it is resized to the network's size.
 
         Returns:
             (H, W) float32, positive: depth in an unknown unit (16 / the network's disparity, so from 1.6 to 1600), at the image's size.
@@ -121,49 +126,72 @@ class DepthModel(ModelHubMixin):
         """
         return self.predict_batch([image])[0]
 
-    @torch.inference_mode()
-    def predict_batch(self, images: Sequence[str | Path | np.ndarray]) -> list[np.ndarray]:
+    def predict_batch(self, images: Sequence[Image]) -> list[np.ndarray]:
         """Depths of some images, of any sizes, computed together; see `predict`."""
-        arrays = [_rgb(image) for image in images]
-        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.precision == "bf16"):
-            disparities = disparities_of(DepthNet(self.net, self.architecture, self.size), arrays, self.device)
+        arrays = [_rgb(image, read_image) for image in images]
+        depths = np.float32(UNIT) / self.disparities(arrays, batch_size=len(arrays))
+        return [resize_bilinear(depth, array.shape[:2]) for depth, array in zip(depths, arrays)]
+
+    @torch.inference_mode()
+    def disparities(
+        self, images: Sequence[Image], *, batch_size: int = 4, read: Callable[[str | Path], np.ndarray] = read_image
+    ) -> np.ndarray:
+        """Disparities of many images at the network's own size, with a progress bar; what the tables score.
+
+        Args:
+            images: files or arrays, as of `predict`.
+            batch_size: images computed together.
+            read: gives (H, W, 3) uint8 RGB of a file.
+
+        Returns:
+            (N, h, w) float32, positive, of unknown scale.
+
+        Raises:
+            InputError: an image cannot be read, or the network gives no finite numbers.
+        """
+        maps = []
+        with tqdm(total=len(images), desc="predicting", unit="image", disable=len(images) <= batch_size) as bar:
+            for start in range(0, len(images), batch_size):
+                arrays = [_rgb(image, read) for image in images[start : start + batch_size]]
+                frames = np.stack([resample(array, self.size) for array in arrays]).transpose(0, 3, 1, 2)
+                seen = to_unit(torch.from_numpy(np.ascontiguousarray(frames)).to(self.device))
+                with torch.autocast(self.device.type, torch.bfloat16, enabled=self.precision == "bf16"):
+                    maps.append(self(seen)[:, 0].float().cpu().numpy())
+                bar.update(len(arrays))
+        disparities = np.concatenate(maps)
         if not np.isfinite(disparities).all():
             raise InputError(f"the network's numbers are not finite in {self.precision}; its weights are damaged or need float32")
-        return [resize_bilinear(np.float32(UNIT) / disparity, array.shape[:2]) for disparity, array in zip(disparities, arrays)]
+        return disparities
 
     @classmethod
     def from_pretrained(
         cls, name: str | Path, *, device: str | torch.device | None = None, precision: Precision | None = None, **hub: Any
     ) -> "DepthModel":
-        """Load a file or folder that `save_pretrained` or a training has written, or a model of the model hub.
+        """Load what `save_pretrained` or a training has written, or a model of the model hub; see `load`.
 
-        Args:
-            name: the file or folder, or `owner/name`.
-            device, precision: as of the class.
-            hub: `revision`, `cache_dir`, `token`, `local_files_only`, `force_download`.
-
-        Raises:
-            InputError: it is not there, cannot be had, or is not of this project.
+        `hub` are `revision`, `cache_dir`, `token`, `local_files_only` and `force_download` of `huggingface_hub.snapshot_download`.
         """
         if unknown := sorted(hub.keys() - HUB_OPTIONS):
             raise TypeError(f"from_pretrained() has no option {', '.join(unknown)}; there are device, precision, {', '.join(HUB_OPTIONS)}")
         path = Path(name)
-        if path.is_dir():
-            path /= WEIGHTS
-        elif not path.is_file():
+        if not path.exists():
             if path.is_absolute() or path.suffix == ".safetensors":
                 raise InputError(f"{name}: no such weights; give {WEIGHTS} of a training, its folder, or a name on the model hub")
             try:
-                hf_hub_download(str(name), HUB_CARD, **hub)
-                path = Path(hf_hub_download(str(name), WEIGHTS, **hub))
+                path = Path(snapshot_download(str(name), allow_patterns=[HUB_CARD, WEIGHTS], **hub))
             except (OSError, ValueError) as error:  # no network, no such name
                 reason = next(iter(str(error).splitlines()), type(error).__name__)
                 raise InputError(f"{name}: no folder, and not to be had from the model hub ({reason}); check the name") from None
-        return cls(load_card(path), load_depth_net(path).net, device=device, precision=precision)
+        path = path / WEIGHTS if path.is_dir() else path
+        card = load_card(path)
+        _of_card(card, path.with_suffix(".json"), *Architecture.model_fields)  # a card in a file names all, and no default is taken
+        model = cls(card, device=device, precision=precision)
+        load_weights(path, model.depth_net, prefix="depth_net.")
+        return model
 
     def _save_pretrained(self, save_directory: Path) -> None:
         card = {key: value for key, value in self.card.items() if key != "sha256"} | {"hr_size": list(self.size)}
-        save_weights(save_directory / WEIGHTS, nn.ModuleDict({"depth_net": self.net}), card, HUB_CARD)
+        save_weights(save_directory / WEIGHTS, self, card, HUB_CARD)
 
     def generate_model_card(self, *_args: Any, **_kwargs: Any) -> ModelCard:
         """The page that the model hub shows."""
@@ -198,10 +226,77 @@ def load(weights: str | Path, device: str | torch.device | None = None, precisio
     return DepthModel.from_pretrained(weights, device=device, precision=precision)
 
 
-def _rgb(image: str | Path | np.ndarray) -> np.ndarray:
+class PoseModel(NamedTuple):
+    """A PoseNet in eval mode and (height, width) that frames are resized to; it sees a third of it."""
+
+    net: PoseNet
+    size: tuple[int, int]
+
+
+def load_pose_net(weights: str | Path, device: str | torch.device = "cpu") -> PoseModel:
+    """The PoseNet of a training.
+
+    Raises:
+        InputError: the weights or their card cannot be read or do not fit.
+    """
+    net = PoseNet()
+    card = load_weights(weights, net, prefix="pose_net.")
+    return PoseModel(net.eval().to(device), _of_card(card, Path(weights).with_suffix(".json"))[1])
+
+
+@torch.inference_mode()
+def predict_poses(model: PoseModel, paths: Sequence[str | Path], *, batch_size: int = 16) -> np.ndarray:
+    """Motions between the neighbouring frames of a sequence, `batch_size` targets at a time; each frame is decoded once.
+
+    Args:
+        model: from `load_pose_net`.
+        paths: N ≥ 3 consecutive frames.
+        batch_size: targets at a time.
+
+    Returns:
+        (N − 2, 2, 4, 4) float64: for each frame but the first and last, as target, the pose that maps its coordinates to the previous
+        frame's and to the next frame's; translations in units of the predicted depth.
+
+    Raises:
+        InputError: fewer than three frames.
+    """
+    if len(paths) < 3:
+        raise InputError(f"{len(paths)} frames: PoseNet sees three at a time")
+    device = next(model.net.parameters()).device
+    frames: list[Tensor] = []
+    poses = []
+    for number, path in enumerate(tqdm(paths, desc="predicting poses", unit="image"), 1):
+        image = to_unit(torch.from_numpy(resample(read_image(path), model.size).transpose(2, 0, 1).copy()))
+        frames.append(low_resolution(image[None])[0])
+        if len(frames) == batch_size + 2 or (number == len(paths) and len(frames) > 2):
+            views = [torch.stack([frames[i], frames[i - 1], frames[i + 1]]) for i in range(1, len(frames) - 1)]
+            poses.append(pose_matrix(model.net(torch.stack(views).to(device)).double()).cpu())
+            frames = frames[-2:]
+    return torch.cat(poses).numpy()
+
+
+def _of_card(card: dict[str, Any], source: object, *needed: str) -> tuple[Architecture, tuple[int, int]]:
+    """The network that a card names, all `needed` words of it, and the (height, width) of its images.
+
+    Raises:
+        InputError: it names none; the message begins with `source`.
+    """
+    try:
+        if missing := [name for name in ("network", "hr_size", *needed) if name not in card]:
+            raise ValueError(f"{missing[0]} is missing")
+        match card["hr_size"]:
+            case [int(height), int(width)] if not (height % 96 or width % 96) and min(height, width) >= 192:
+                if height * width <= LARGEST_FRAME:
+                    return Architecture.of_card(card), (height, width)
+        raise ValueError(f"hr_size {card['hr_size']!r:.60}: both sides must be multiples of 96, at least 192")
+    except ValueError as error:
+        raise InputError(f"{source}: names no network of this project ({error}); keep the card that was written with it") from None
+
+
+def _rgb(image: Image, read: Callable[[str | Path], np.ndarray]) -> np.ndarray:
     """(H, W, 3) uint8 RGB of a file, or of an array that is checked to be that."""
     if isinstance(image, str | Path):
-        return read_image(image)
+        return read(image)
     array = np.asarray(image)
     if array.dtype != np.uint8 or array.ndim != 3 or array.shape[2] != 3 or 0 in array.shape:
         raise InputError(f"image of shape {array.shape} and type {array.dtype}; give a file, or (H, W, 3) uint8 RGB")

@@ -1,18 +1,75 @@
-"""Running a notebook by papermill: checked parameters, progress in the terminal, an executed copy that is whole or absent."""
+"""Running the chain of notebooks by Snakemake, and one of them by papermill: checked parameters, an executed copy whole or absent."""
 
 import logging
+import os
+import re
 import shutil
 import sys
 import time
+from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from dualdepth.errors import InputError
-from dualdepth.files import atomic_path
-from dualdepth.run import project_root
+from dualdepth.files import atomic_path, check_writable, locked, remove_leftovers
+from dualdepth.run import Run, check_roots, parse_seeds, project_root
+
+DRY = re.compile(r"--dry-?run|-[a-z]*n[a-z]*")
+"""Snakemake's options for only saying what it would run, such as `-np`."""
 
 NOT_SHOWN = ("Executing", "Ending", "Input", "Output", "Working directory", "<", "\n")
 """What papermill says of its own, and the text form of pictures and tables, which nobody reads in a terminal."""
+
+
+def run_chain(profile: str, roots: Mapping[str, str], seeds: str, allow_leak: bool, cores: str, options: Sequence[str]) -> NoReturn:
+    """Become Snakemake, which runs a profile's notebooks under a lock, so that two runs cannot mix; a dry run needs none.
+
+    Args:
+        profile: its name or file.
+        roots: folders and files that a user gives, by the names of `run.ROOTS`.
+        seeds: such as `0,1,2`; empty for the profile's.
+        allow_leak: score even drives that were trained on.
+        cores, options: for Snakemake.
+
+    Raises:
+        InputError: the profile, seeds or a root is wrong, nothing can be written, or another process works on the profile.
+    """
+    run, dry = Run(profile), any(map(DRY.fullmatch, options))
+    check_roots(roots)
+    config = {
+        "profile": str(Path(profile).resolve()) if Path(profile).is_file() else profile,
+        "seeds": ",".join(map(str, parse_seeds(seeds) or run.profile.seeds)),
+        **{name: str(Path(value).resolve()) if value else "" for name, value in roots.items()},
+        "allow_leak": int(allow_leak),
+    }
+    command = [sys.executable, "-m", "snakemake", "--cores", cores, "--nolock", "--rerun-incomplete"]
+    command += ["--quiet", *(["host", "progress"] if dry else ["all"])]
+    if shutil.which("nvidia-smi"):
+        command += ["--resources", "gpu=1"]  # one training at a time has the GPU to itself
+    command += [*options, "--config", *(f"{k}={v}" for k, v in config.items())]
+    check_writable(run.root / ".snakemake")  # of which Snakemake, being quiet, would not say a word
+    with nullcontext() if dry else locked(run.work / "lock", inherited=True):
+        for folder in () if dry else (run.results, run.prepared):  # a training looks after its own
+            remove_leftovers(folder)
+        print(f"profile {run.profile.name}: {run.profile.about}; results in {run.results.relative_to(run.root)}", flush=True)
+        os.chdir(run.root)
+        os.execv(sys.executable, command)
+
+
+def parse_parameters(pairs: Sequence[str]) -> dict[str, int | str]:
+    """Parameters of `KEY=VALUE` words: whole numbers as such, all else as text, which nothing evaluates.
+
+    Raises:
+        InputError: a word without `=`.
+    """
+    parameters: dict[str, int | str] = {}
+    for pair in pairs:
+        key, equals, value = pair.partition("=")
+        if not equals:
+            raise InputError(f"parameter {pair!r} is not KEY=VALUE")
+        parameters[key] = int(value) if re.fullmatch("-?[0-9]{1,18}", value) else value
+    return parameters
 
 
 def run_notebook(name: str, out: str | Path, parameters: dict[str, Any]) -> Path:

@@ -14,7 +14,7 @@ from dualdepth.files import short_digest
 
 PACKAGE = Path(__file__).parent
 NETWORKS = ("networks", "geometry", "training", "data", "device")
-SCORES = (*NETWORKS, "inference", "evaluation", "tables")
+SCORES = (*NETWORKS, "model", "evaluation", "tables")
 TABLES = (*SCORES, "plots", "paper")
 CODE = {
     "data": ("data_scripts", "data", "geometry", "plots"),
@@ -23,7 +23,7 @@ CODE = {
     "predict": SCORES,
     "tables": TABLES,
     "report": (*TABLES, "report"),
-    "quickstart": (*TABLES, "model", "data_scripts"),
+    "quickstart": (*TABLES, "data_scripts"),
 }
 """Folders and modules of `dualdepth`, and the folder `data_scripts`, whose code shapes a result; a change in one makes it stale.
 

@@ -13,9 +13,9 @@ from small_kitti import wall
 from small_nets import output_of
 from torch import nn
 
-import dualdepth
 from dualdepth.cli import main
 from dualdepth.data.frames import Video
+from dualdepth.model import DepthModel
 
 ABOUT = "a net, trained on 7 triplets: a synthetic street world"
 
@@ -32,15 +32,10 @@ class Brightness(nn.Module):
 
 
 @pytest.fixture(autouse=True)
-def stand_in(monkeypatch):
+def weights(tmp_path, monkeypatch):
     monkeypatch.setattr("dualdepth.networks.depth_nets.HRNet", Brightness)
-
-
-@pytest.fixture
-def weights(tmp_path):
-    folder = tmp_path / "weights"
-    dualdepth.DepthModel({"network": "hr", "hr_size": [192, 288], "about": ABOUT}).save_pretrained(folder)
-    return folder
+    DepthModel({"network": "hr", "hr_size": [192, 288], "about": ABOUT}).save_pretrained(tmp_path / "weights")
+    return tmp_path / "weights"
 
 
 @pytest.fixture
@@ -72,33 +67,34 @@ def clip(tmp_path):
     return path
 
 
-def run(*words):
-    return main(["predict", *map(str, words)])
+@pytest.fixture
+def out(tmp_path):
+    return tmp_path / "o"
+
+
+@pytest.fixture
+def run(weights, out):
+    """Predicts what is given, with options; a later one of a name counts."""
+    return lambda *words: main(["predict", "--weights", str(weights), "--out", str(out), *map(str, words)])
 
 
 def read(out, name):
     return np.load(out / f"{name}.depth.npy")
 
 
-def stamp(out):
-    return json.loads((out / "predictions.json").read_text())
-
-
 def visible(out):
     return sorted(path.name for path in out.iterdir() if not path.name.startswith("."))
 
 
-def test_every_kind_of_photo_becomes_depth_of_its_own_size(photos, weights, tmp_path, capsys):
-    out = tmp_path / "out"
-    assert run(photos, "--weights", weights, "--out", out, "--save", "all", "--device", "cpu") == 0
+def test_every_kind_of_photo_becomes_depth_of_its_own_size(photos, run, out, capsys):
+    assert run(photos, "--save", "all", "--device", "cpu") == 0
     said = capsys.readouterr().out
-    assert f"Depth is relative: its unit is unknown. Learned by {ABOUT}." in said
-    assert "field of view 81.4 degrees by default" in said
-    entries = stamp(out)
-    assert [os.path.basename(entry["path"]) for entry in entries["inputs"].values()] == sorted(set(os.listdir(photos)) - {"notes.txt"})
-    assert list(entries["inputs"]) == ["a", "a-2", "b grey ü", "c deep", "d clear", "e turned"]
-    assert ABOUT in entries["options"]["weights"] and entries["options"]["precision"] == "float32"
-    sizes = {name: read(out, name).shape for name in entries["inputs"]}
+    assert f"Depth is relative: its unit is unknown. Learned by {ABOUT}." in said and "81.4 degrees by default" in said
+    stamp = json.loads((out / "predictions.json").read_text())
+    assert [os.path.basename(entry["path"]) for entry in stamp["inputs"].values()] == sorted(set(os.listdir(photos)) - {"notes.txt"})
+    assert list(stamp["inputs"]) == ["a", "a-2", "b grey ü", "c deep", "d clear", "e turned"]
+    assert ABOUT in stamp["options"]["weights"] and stamp["options"]["precision"] == "float32"
+    sizes = {name: read(out, name).shape for name in stamp["inputs"]}
     assert sizes == {name: (60, 100) for name in sizes} | {"e turned": (100, 60)}
     assert np.array_equal(read(out, "c deep"), read(out, "d clear"))
     np.testing.assert_allclose(read(out, "e turned").T[::-1], read(out, "a-2"), rtol=0.3)
@@ -109,29 +105,24 @@ def test_every_kind_of_photo_becomes_depth_of_its_own_size(photos, weights, tmp_
         assert (out / f"{name}.ply").stat().st_size > 60 * 100 * 15
 
 
-def test_broken_files_are_named_and_the_others_done(photos, weights, tmp_path, capsys):
-    (photos / "a0.png").write_bytes(b"")
-    (photos / "b1.jpg").write_bytes(b"no image")
-    (photos / "c2.png").write_bytes((photos / "a.png").read_bytes()[:200])
-    (photos / "d3.mp4").write_bytes(b"no video")
-    words = (photos, "--weights", weights, "--out", tmp_path / "o")
-    assert run(*words) == 1
-    said = capsys.readouterr()
-    for name in ("a0.png", "b1.jpg", "c2.png", "d3.mp4"):
-        assert f"broken: {photos / name}: " in said.err
-    assert said.out.endswith("6 predicted, 4 broken\n")
-    assert run(*words) == 1
-    assert capsys.readouterr().out.endswith("0 predicted, 6 were there, 4 broken\n")
-    shutil.copyfile(photos / "a.png", photos / "a0.png")
-    for name in ("b1.jpg", "c2.png", "d3.mp4"):
+def test_broken_files_are_named_and_the_others_done(photos, run, capsys):
+    broken = {"a0.png": b"", "b1.jpg": b"no image", "c2.png": (photos / "a.png").read_bytes()[:200], "d3.mp4": b"no video"}
+    for name, content in broken.items():
+        (photos / name).write_bytes(content)
+    for counts in ("6 predicted, 4 broken\n", "0 predicted, 6 were there, 4 broken\n"):
+        assert run(photos) == 1
+        said = capsys.readouterr()
+        assert all(f"broken: {photos / name}: " in said.err for name in broken) and said.out.endswith(counts)
+    for name in broken:
         (photos / name).unlink()
-    assert run(*words) == 0
+    shutil.copyfile(photos / "a.png", photos / "a0.png")
+    assert run(photos) == 0
 
 
 @pytest.fixture
 def stop_at(monkeypatch):
     """As Ctrl-C at the n-th call of the network; gives the calls."""
-    predict, calls = dualdepth.DepthModel.predict_batch, []
+    predict, calls = DepthModel.predict_batch, []
 
     def call(number):
         def counted(model, images):
@@ -140,29 +131,27 @@ def stop_at(monkeypatch):
                 raise KeyboardInterrupt
             return predict(model, images)
 
-        monkeypatch.setattr(dualdepth.DepthModel, "predict_batch", counted)
+        monkeypatch.setattr(DepthModel, "predict_batch", counted)
         return calls
 
     return call
 
 
-def test_a_run_that_is_stopped_goes_on_where_it_was(photos, weights, tmp_path, stop_at, capsys):
-    out, calls = tmp_path / "o", stop_at(5)
-    assert run(photos, "--weights", weights, "--out", out) == 130
+def test_a_run_that_is_stopped_goes_on_where_it_was(photos, run, out, stop_at, capsys):
+    calls = stop_at(5)
+    assert run(photos) == 130
     assert len(list(out.glob("*.depth.png"))) == 4
     (out / ".a.0123abcd.part.png").touch()  # as a killed writer leaves it
-    assert run(photos, "--weights", weights, "--out", out) == 0
-    assert capsys.readouterr().out.endswith("2 predicted, 4 were there\n")
-    assert len(calls) == 7
-    assert not list(out.glob(".*.part*"))
-    assert len(visible(out)) == 13
+    assert run(photos) == 0
+    assert capsys.readouterr().out.endswith("2 predicted, 4 were there\n") and len(calls) == 7
+    assert not list(out.glob(".*.part*")) and len(visible(out)) == 13
 
 
-def test_results_beside_their_inputs_do_not_become_inputs(photos, weights, capsys):
+def test_results_beside_their_inputs_do_not_become_inputs(photos, run, capsys):
     """By default a picture and a PNG each."""
     before = len(visible(photos))
     for expected in ("6 predicted\n", "0 predicted, 6 were there\n"):
-        assert run(photos, "--weights", weights / "model.safetensors", "--out", photos) == 0
+        assert run(photos, "--out", photos) == 0
         assert capsys.readouterr().out.endswith(expected)
     assert {"a.colour.png", "a.depth.png", "predictions.json"} < set(visible(photos)) and len(visible(photos)) == before + 13
 
@@ -170,19 +159,18 @@ def test_results_beside_their_inputs_do_not_become_inputs(photos, weights, capsy
 @pytest.mark.parametrize(
     ("words", "scale", "unit"), [(["--scale", 2.5], 2.5, "relative depth x2.5"), (["--batch-size", 4], 1, "relative depth")]
 )
-def test_a_scale_is_applied_to_all_and_said_and_batches_give_what_single_images_give(photos, weights, tmp_path, words, scale, unit):
+def test_a_scale_is_applied_to_all_and_said_and_batches_give_what_single_images_give(photos, run, out, tmp_path, words, scale, unit):
     (photos / "b0.png").write_bytes(b"")
-    for name, more in (("one", ["--batch-size", 1]), ("two", words)):
-        assert run(photos, "--weights", weights, "--out", tmp_path / name, "--save", "npy", *more) == 1
+    assert run(photos, "--save", "npy", "--batch-size", 1, "--out", tmp_path / "one") == 1
+    assert run(photos, "--save", "npy,depth", *words) == 1
     for path in (tmp_path / "one").glob("*.npy"):
-        np.testing.assert_allclose(np.load(tmp_path / "two" / path.name), scale * np.load(path), rtol=1e-5)
-    assert run(photos, "--weights", weights, "--out", tmp_path / "two", "--save", "depth", *words) == 1
-    with PIL.Image.open(tmp_path / "two" / "a.depth.png") as image:
+        np.testing.assert_allclose(np.load(out / path.name), scale * np.load(path), rtol=1e-5)
+    with PIL.Image.open(out / "a.depth.png") as image:
         assert f"value / 256 = {unit};" in image.text["Description"]
 
 
-def test_a_gpu_that_is_too_small_gets_smaller_batches(photos, weights, tmp_path, monkeypatch):
-    predict, sizes = dualdepth.DepthModel.predict_batch, []
+def test_a_gpu_that_is_too_small_gets_smaller_batches(photos, run, monkeypatch):
+    predict, sizes = DepthModel.predict_batch, []
 
     def small(model, images):
         sizes.append(len(images))
@@ -190,14 +178,13 @@ def test_a_gpu_that_is_too_small_gets_smaller_batches(photos, weights, tmp_path,
             raise torch.OutOfMemoryError
         return predict(model, images)
 
-    monkeypatch.setattr(dualdepth.DepthModel, "predict_batch", small)
-    assert run(photos, "--weights", weights, "--out", tmp_path / "o", "--batch-size", 4) == 0
+    monkeypatch.setattr(DepthModel, "predict_batch", small)
+    assert run(photos, "--batch-size", 4) == 0
     assert sizes == [4, 2, *[1] * 6]
 
 
-def test_a_video_becomes_a_video_side_by_side(clip, weights, tmp_path):
-    out = tmp_path / "o"
-    assert run(clip, "--weights", weights, "--out", out) == 0
+def test_a_video_becomes_a_video_side_by_side(clip, run, out):
+    assert run(clip) == 0
     assert visible(out) == ["clip.side.mp4", "predictions.json"]
     made = Video(out / "clip.side.mp4")
     frames = [frame for _, frame in made.frames()]
@@ -205,8 +192,8 @@ def test_a_video_becomes_a_video_side_by_side(clip, weights, tmp_path):
     assert frames[0].shape[0] == 120 and frames[0].shape[1] > 2 * 161
 
 
-def test_each_frame_has_files_where_they_are_asked_for_and_the_first_ones_say_that_all_are_there(clip, weights, tmp_path, stop_at, capsys):
-    folder, words = tmp_path / "o" / "clip.frames", (clip, "--weights", weights, "--out", tmp_path / "o", "--save", "npy,depth")
+def test_each_frame_has_files_where_they_are_asked_for_and_the_first_ones_say_that_all_are_there(clip, run, out, stop_at, capsys):
+    folder, words = out / "clip.frames", (clip, "--save", "npy,depth")
     stop_at(8)
     assert run(*words) == 130
     assert sorted(path.name for path in folder.glob("*.npy")) == [f"{i:06d}.depth.npy" for i in range(1, 7)]
@@ -218,39 +205,38 @@ def test_each_frame_has_files_where_they_are_asked_for_and_the_first_ones_say_th
     assert depths == sorted(depths, reverse=True)
 
 
-def test_a_video_that_ends_early_gives_what_it_has_and_says_so(clip, weights, tmp_path, capsys):
+def test_a_video_that_ends_early_gives_what_it_has_and_says_so(clip, run, out, capsys):
     clip.write_bytes(b"00dc".join(clip.read_bytes().split(b"00dc")[:6]))  # before the fifth frame's end
-    assert run(clip, "--weights", weights, "--out", tmp_path / "o") == 1
-    assert f"broken: {clip}: ends early: " in capsys.readouterr().err
-    assert (tmp_path / "o" / "clip.side.mp4").is_file()
+    assert run(clip) == 1
+    assert f"broken: {clip}: " in capsys.readouterr().err
+    assert (out / "clip.side.mp4").is_file()
 
 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["gone.png"], "gone.png: no such file or folder"),
-        (["{photos}", "--weights", "gone.safetensors"], "gone.safetensors: no such weights"),
-        (["{photos}", "--save", "colour,gif"], "'gif' is unknown: choose some of colour, depth, side, npy, ply"),
-        (["{photos}", "--scale", "0"], "--scale 0.0: must be"),
-        (["{photos}", "--batch-size", "0"], "--batch-size 0: must be"),
-        (["{photos}", "--fov", "200"], "field of view 200.0"),
-        (["{photos}", "--device", "tpu"], "device 'tpu' is not to be had"),
-        (["{photos}", "--out", "{photos}/a.png"], "a.png: nothing can be written there"),
+        (["gone.png"], "gone.png: "),
+        (["{photos}", "--weights", "gone.safetensors"], "gone.safetensors: "),
+        (["{photos}", "--save", "colour,gif"], "'gif'"),
+        (["{photos}", "--scale", "0"], "--scale 0.0"),
+        (["{photos}", "--batch-size", "0"], "--batch-size 0"),
+        (["{photos}", "--fov", "200"], "--fov 200.0"),
+        (["{photos}", "--device", "tpu"], "'tpu'"),
+        (["{photos}", "--out", "{photos}/a.png"], "a.png: "),
     ],
     ids=str,
 )
-def test_mistakes_are_one_line_and_nothing_is_written(photos, weights, tmp_path, refused, words, said):
-    words = [word.format(photos=photos) for word in words]
-    assert said in refused(run, "--weights", weights, "--out", tmp_path / "o", *words)
-    assert not (tmp_path / "o").exists()
+def test_mistakes_are_one_line_and_nothing_is_written(photos, run, out, refused, words, said):
+    assert said in refused(run, *(word.format(photos=photos) for word in words))
+    assert not out.exists()
 
 
-def test_a_full_disk_ends_it_in_one_line(photos, weights, tmp_path, capsys, monkeypatch):
+def test_a_full_disk_ends_it_in_one_line(photos, run, out, capsys, monkeypatch):
     def full(*_args, **_options):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("dualdepth.inference.running.save", full)
+    monkeypatch.setattr("dualdepth.inference.files.save", full)
     with pytest.raises(SystemExit, match="2"):
-        run(photos, "--weights", weights, "--out", tmp_path / "o")
+        run(photos)
     last = capsys.readouterr().err.splitlines()[-1]
-    assert last.startswith(f"error: {tmp_path / 'o'}: results cannot be written ([Errno 28] No space left on device)")
+    assert last.startswith(f"error: {out}: ") and "No space left on device" in last

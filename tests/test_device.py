@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from dualdepth.device import choose_precision, has_bf16, keep_freed_memory
+from dualdepth.device import choose_device, choose_precision, has_bf16, inference_precision, keep_freed_memory
+from dualdepth.errors import InputError
 
 CPU, GPU = torch.device("cpu"), torch.device("cuda")
 
@@ -66,3 +67,22 @@ def test_an_allocator_that_is_not_glibcs_is_left_alone(monkeypatch, library):
 
     monkeypatch.setattr(ctypes, "CDLL", load)
     assert keep_freed_memory() is False
+
+
+def test_device_and_precision_of_predictions_are_chosen_and_settable(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 0)
+    monkeypatch.setattr(torch.backends.mps, "is_available", lambda: False)
+    assert choose_device(None) == CPU
+    for wrong in ("cuda", "cuda:0", "mps", "tpu", "xyz:9"):
+        with pytest.raises(InputError, match=f"'{wrong}' .* there are cpu"):
+            choose_device(wrong)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    assert [str(choose_device(d)) for d in (None, "cpu", "cuda:1")] == ["cuda", "cpu", "cuda:1"]
+    with pytest.raises(InputError, match="cuda:2"):
+        choose_device("cuda:2")
+    for has in (True, False):
+        monkeypatch.setattr(torch.cuda, "is_bf16_supported", lambda including_emulation, has=has: has)
+        assert inference_precision(None, GPU) == ("bf16" if has else "float32")
+    assert inference_precision(None, CPU) == "float32"
+    with pytest.raises(InputError, match="'fp8'"):
+        inference_precision("fp8", CPU)

@@ -93,7 +93,7 @@ def small_world(tmp_path, monkeypatch, kitti_factory, write_scan):
     write_trajectory("09.txt", poses)
     cv2.imwrite("photo.jpg", rng.integers(0, 255, (120, 200, 3), np.uint8))
     model = DepthModel({"network": "hr", "hr_size": [192, 288]}, device="cpu")
-    with_heads(model.net)
+    with_heads(model)
     model.save_pretrained("work/miniature/runs/lr/seed0")
     shutil.copytree("work/miniature/runs/lr", "work/miniature/runs/dual")
     replace = {"/data/kitti_raw": str(root)}

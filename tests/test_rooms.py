@@ -9,11 +9,9 @@ from import_graph import ROOT, closure, imports_of, modules
 ORDER = [
     *("dualdepth", "errors", "files", "device", "geometry", "paper", "plots", "staleness", "networks"),
     *("settings", "profile", "losses", "data", "evaluation", "run", "training"),
-    *("inference", "tables", "report", "notebooks", "publish", "bench", "commands", "cli"),
+    *("model", "inference", "tables", "report", "notebooks", "publish", "bench", "cli"),
 ]
 """Rooms and modules of the root from the ground up: each imports only those before it, and itself."""
-BESIDE = {"model": "inference"}
-"""In one room until prediction is one way: `inference.predict` lies under it, the rest of `inference` above."""
 NEVER = {
     "networks": {*ORDER} - {"dualdepth", "errors", "networks"},
     "geometry": {*ORDER} - {"geometry"},
@@ -28,8 +26,7 @@ OWN_CAMERA = {"data_scripts.own_camera", "data_scripts.find_data"}
 
 def room(module):
     """Of a module of `dualdepth`."""
-    name = module.split(".")[1] if "." in module else module
-    return BESIDE.get(name, name)
+    return module.split(".")[1] if "." in module else module
 
 
 def edges():

@@ -7,13 +7,14 @@ plain mean over images. Values are compared in float64.
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args, get_type_hints
 
 import cv2
 import numpy as np
 import pandas as pd
 
-from dualdepth.errors import InputError
+from dualdepth.errors import InputError, reading
 
 METRICS = ("abs_rel", "sq_rel", "rmse", "rmse_log", "a1", "a2", "a3")
 CROPS = {
@@ -224,6 +225,25 @@ def evaluate_parts(
     frame = pd.DataFrame(rows, index=pd.MultiIndex.from_tuples(places, names=["image", "part"]))
     frame.attrs["skipped"] = skipped
     return frame
+
+
+def load_predictions(path: str | Path) -> np.ndarray:
+    """Open a file of predictions, as the field saves them, without reading it into memory and without pickle.
+
+    Returns:
+        (N, h, w) float array, mapped from the file.
+
+    Raises:
+        InputError: missing, truncated, no `.npy`, or not a float array of three dimensions with at least one image.
+    """
+    mend = "give a .npy file with one (N, h, w) float array, as numpy.save writes it"
+    with reading(path, mend):
+        values = np.load(path, mmap_mode="r", allow_pickle=False)
+        if not isinstance(values, np.ndarray):
+            raise ValueError("an archive of arrays")
+    if values.dtype.kind != "f" or values.ndim != 3 or 0 in values.shape:
+        raise InputError(f"{path}: holds {values.dtype} values of shape {values.shape}; {mend}")
+    return values
 
 
 def summary(frame: pd.DataFrame) -> dict[str, float | int]:

@@ -6,20 +6,15 @@ import logging
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from torch import Tensor, nn
-from torch.nn import functional as F
 
 from dualdepth.data.frames import resample
 from dualdepth.data.kitti import read_image
 from dualdepth.errors import InputError
 from dualdepth.files import atomic_path, check_writable
-from dualdepth.inference.predict import DepthNet, load_depth_net
-from dualdepth.model import UNIT
-from dualdepth.training.weights import load_card
+from dualdepth.model import UNIT, DepthModel, load
 
 IMAGE, DISPARITY = "image", "disparity"
 """Names of the graph's input and output."""
@@ -30,42 +25,19 @@ TOLERANCE = 1e-3
 smallest disparities; the rest is for sums in another order. A thousandth is below what any table shows."""
 
 
-class ImageToDisparity(nn.Module):
-    """What is exported of a depth network: the frame itself in, so that nobody has to average it for LR-Net, the finest disparity out.
-
-    What does not shape that disparity, such as the decoder of a dual network's LR-Net, is not part of the graph.
-    """
-
-    def __init__(self, depth_net: DepthNet) -> None:
-        super().__init__()
-        self.net, self.low = depth_net.net, depth_net.architecture.sees_low_resolution
-
-    def forward(self, image: Tensor) -> Tensor:
-        """Disparity (B, 1, h, w) of an image (B, 3, H, W) in [0, 1]; h, w are H, W, or a third of them for LR-Net."""
-        return self.net(F.avg_pool2d(image, 3) if self.low else image, scales=1).disparities[0]
-
-
-class Export(NamedTuple):
-    """What was written, and how near to PyTorch it is."""
-
-    path: Path
-    size: tuple[int, int]
-    """(height, width) of the images."""
-    output_size: tuple[int, int]
-    """(height, width) of the disparities."""
-    images: int
-    """Number of images the comparison used."""
-    difference: float | None
-    """Largest |ONNX − PyTorch| / PyTorch over their pixels; None where ONNX Runtime is not installed."""
-
-
-def export_onnx(weights: str | Path, out: str | Path, frames: Sequence[str | Path] = ()) -> Export:
+def export_onnx(weights: str | Path, out: str | Path, frames: Sequence[str | Path] = ()) -> str:
     """Write the depth network of a training as an ONNX file.
 
+    It takes the image itself, so that nobody has to average it for LR-Net; what does not shape the finest disparity, such as the decoder
+    of a dual network's LR-Net, is not part of it.
+
     Args:
-        weights: safetensors file; its card lies beside it.
+        weights: as `dualdepth.load` takes them.
         out: the file, `….onnx`.
         frames: image files to compare on; without any, three made-up images are.
+
+    Returns:
+        What was written and how near to PyTorch it is, in two lines.
 
     Raises:
         InputError: a package is missing; the weights, their card or a frame cannot be read; nothing can be written at `out`; the
@@ -77,30 +49,29 @@ def export_onnx(weights: str | Path, out: str | Path, frames: Sequence[str | Pat
     out = Path(out)
     if out.suffix != ".onnx" or out.is_dir():
         raise InputError(f"{out}: is no name for an ONNX file; give --out one that ends in .onnx")
-    depth_net = load_depth_net(weights)
-    net, size = ImageToDisparity(depth_net).eval(), depth_net.hr_size
-    images = [_read(path, size) for path in frames] or made_up_images(size)
+    model = load(weights, "cpu", "float32")
+    images = [unit_image(read_image(path), model.size) for path in frames] or made_up_images(model.size)
     batches = [*(image[None] for image in images), np.stack(images[:3])]
-    try:
-        with torch.inference_mode():
-            expected = [net(torch.from_numpy(batch)).numpy() for batch in batches]
-    except RuntimeError as error:
-        raise InputError(f"{weights}: its network cannot see images of its card's {size} ({error}); copy both again") from None
+    with torch.inference_mode():
+        expected = [model(torch.from_numpy(batch)).numpy() for batch in batches]
     check_writable(out.parent)
     with atomic_path(out) as partial:
         try:
-            write_onnx(net, size, partial, _about(load_card(weights), depth_net))
+            write_onnx(model, partial)
         except torch.onnx.errors.OnnxExporterError as error:
             reason = str(error.__cause__ or error).partition("\n")[0]
-            raise InputError(f"{weights}: torch cannot export encoder {depth_net.architecture.encoder!r} ({reason})") from None
-        difference = _difference(partial, batches, expected, out) if importlib.util.find_spec("onnxruntime") else None
-    return Export(out, size, expected[0].shape[-2:], len(images), difference)
+            raise InputError(f"{weights}: torch cannot export encoder {model.architecture.encoder!r} ({reason})") from None
+        if compared := importlib.util.find_spec("onnxruntime") is not None:
+            difference = _difference(partial, batches, expected, out)
+    sizes = f"image (B, 3, {model.size[0]}, {model.size[1]}) -> disparity (B, 1, {expected[0].shape[2]}, {expected[0].shape[3]})"
+    written = f"{out}: {sizes}, {out.stat().st_size / 1e6:.1f} MB"
+    if not compared:
+        return f"{written}\nnot compared with PyTorch: onnxruntime is not installed; `pip install onnxruntime` brings it"
+    return f"{written}\nlargest relative difference from PyTorch on {len(images)} images: {difference:.2g} (tolerance {TOLERANCE:g})"
 
 
-def write_onnx(net: nn.Module, size: tuple[int, int], path: str | Path, words: dict[str, str]) -> None:
-    """Write a network in eval mode, and `words` as its metadata, and check the file.
-
-    Its input `image` is (B, 3, *size) with `size` (height, width), its output `disparity` (B, 1, h, w); B is free.
+def write_onnx(model: DepthModel, path: str | Path) -> None:
+    """Write a model with what is known of it as metadata, and check the file: `image` (B, 3, H, W) → `disparity` (B, 1, h, w), B is free.
 
     Raises:
         torch.onnx.errors.OnnxExporterError: torch has no ONNX form of one of its layers.
@@ -110,14 +81,23 @@ def write_onnx(net: nn.Module, size: tuple[int, int], path: str | Path, words: d
 
     # the exporter would tell of torchvision, which is not used, and of torch's own old names
     logging.getLogger("torch.onnx._internal.exporter._registration").setLevel(logging.ERROR)
-    example = torch.zeros(2, 3, *size)  # a batch of one would be taken for a constant
+    example = torch.zeros(2, 3, *model.size)  # a batch of one would be taken for a constant
     settings = {"input_names": [IMAGE], "output_names": [DISPARITY], "dynamic_shapes": ({0: torch.export.Dim("batch")},)}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        program = torch.onnx.export(net, (example,), dynamo=True, opset_version=OPSET, verbose=False, **settings)
+        program = torch.onnx.export(model, (example,), dynamo=True, opset_version=OPSET, verbose=False, **settings)
     ClearMetadataAndDocStringPass()(program.model)  # at each node, torch notes the source files of this machine
     program.model.metadata_props.clear()
-    program.model.metadata_props.update(words)
+    program.model.metadata_props.update(
+        {
+            "about": str(model.card.get("about", f"depth network {model.architecture.network}")),
+            IMAGE: f"RGB, float32 in [0, 1], (batch, 3, {model.size[0]}, {model.size[1]}); frames are resized whole to this size",
+            DISPARITY: f"1 / depth, float32, positive; `dualdepth predict` gives {UNIT:g} / disparity",
+            "scale": "relative: learned from video alone, depths are right up to an unknown factor and no metres",
+            "hr_size": json.dumps(model.size),
+            "card": json.dumps(model.card, ensure_ascii=False),
+        }
+    )
     program.save(path, external_data=False)
     onnx.checker.check_model(path, full_check=True)
 
@@ -133,13 +113,18 @@ def run_onnx(path: str | Path, batches: Sequence[np.ndarray]) -> list[np.ndarray
     return [session.run([DISPARITY], {IMAGE: images})[0] for images in batches]
 
 
+def unit_image(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """(3, h, w) float32 in [0, 1] of an image (H, W, 3) in [0, 255], resampled to `size` (h, w)."""
+    return np.ascontiguousarray(resample(image, size).transpose(2, 0, 1), np.float32) / 255
+
+
 def made_up_images(size: tuple[int, int], count: int = 3) -> list[np.ndarray]:
     """Images (3, H, W) float32 in [0, 1], of large and small blots: something to see at every stride."""
     rng, (height, width) = np.random.default_rng(0), size
     images = []
     for _ in range(count):
         layers = [resample(rng.integers(0, 255, (height // s + 1, width // s + 1, 3), np.uint8), size) for s in (64, 16, 4)]
-        images.append(_unit(np.mean(layers, axis=0, dtype=np.float32)))
+        images.append(unit_image(np.mean(layers, axis=0, dtype=np.float32), size))
     return images
 
 
@@ -155,24 +140,3 @@ def _difference(path: Path, batches: Sequence[np.ndarray], expected: Sequence[np
         off = f"off PyTorch's by {difference:.2g} of their value, more than {TOLERANCE:g}"
         raise InputError(f"{out}: not written, since ONNX Runtime's disparities are {off}; {mend}")
     return difference
-
-
-def _about(card: dict[str, Any], depth_net: DepthNet) -> dict[str, str]:
-    """What the file says of itself."""
-    height, width = depth_net.hr_size
-    return {
-        "about": str(card.get("about", f"depth network {depth_net.architecture.network}")),
-        IMAGE: f"RGB, float32 in [0, 1], (batch, 3, {height}, {width}); frames are resized whole to this size",
-        DISPARITY: f"1 / depth, float32, positive; `dualdepth predict` gives {UNIT:g} / disparity",
-        "scale": "relative: learned from video alone, depths are right up to an unknown factor and no metres",
-        "hr_size": json.dumps([height, width]),
-        "card": json.dumps(card, ensure_ascii=False),
-    }
-
-
-def _read(path: str | Path, size: tuple[int, int]) -> np.ndarray:
-    return _unit(resample(read_image(path), size))
-
-
-def _unit(image: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(image.transpose(2, 0, 1)) / np.float32(255)

@@ -6,10 +6,8 @@ import numpy as np
 import pandas as pd
 
 from dualdepth.data.depth_maps import load_ground_truth
-from dualdepth.device import default_device
 from dualdepth.evaluation import baselines
 from dualdepth.evaluation.depth import evaluate
-from dualdepth.inference.predict import predict_disparities
 from dualdepth.run import Run
 from dualdepth.tables.rows import MEASURED, comparisons, not_run, over_seeds, paired, seed_label, training_row, with_paper
 from dualdepth.tables.scores import Scores, collect, scored, untrained_net
@@ -26,7 +24,7 @@ def main_scores(run: Run, seeds: Sequence[int]) -> Scores:
     options = run.profile.evaluation.model_dump()
     untrained = {}
     for seed in seeds:
-        disparities = predict_disparities(untrained_net(run, seed), scored(run).paths, device=default_device())
+        disparities = untrained_net(run, seed).disparities(scored(run).paths)
         untrained[UNTRAINED, seed] = evaluate(disparities, scored(run).truth, name=UNTRAINED, kind="disparity", **options)
     scores = scores._replace(frame=pd.concat([scores.frame, pd.concat(untrained, names=["variant", "seed"])]))
     for name in BASELINES:

@@ -13,13 +13,12 @@ import pandas as pd
 from dualdepth.data.depth_maps import load_ground_truth
 from dualdepth.data.frames import resample
 from dualdepth.data.make3d import MAKE3D_PHOTOS, PhotoGrid, find_pairs, is_truncated, read_grid, read_photo
-from dualdepth.device import default_device
 from dualdepth.errors import InputError
 from dualdepth.evaluation.baselines import GRID, depth_sums, mean_depth
 from dualdepth.evaluation.depth import resize_bilinear
 from dualdepth.evaluation.make3d import CONVENTIONS, FARTHEST, METRICS, ROWS, Convention, evaluate_make3d, visible
 from dualdepth.files import file_digest, write_text
-from dualdepth.inference.predict import DepthNet, load_depth_net, predict_disparities
+from dualdepth.model import DepthModel
 from dualdepth.run import Run, Sources
 from dualdepth.tables.rows import MEASURED, comparisons, not_run, over_seeds, paired, seed_label, training_row, with_paper
 from dualdepth.tables.scores import Scores, Trained, collect, untrained_net
@@ -69,20 +68,20 @@ def _read(pairs: tuple[PhotoGrid, ...], changed: tuple[tuple[int, int], ...]) ->
     return Photos(pairs, grids, truncated, hashlib.sha256(str(digests).encode()).hexdigest())
 
 
-def predict_photos(net: DepthNet, pairs: Sequence[PhotoGrid], convention: Convention) -> np.ndarray:
+def predict_photos(model: DepthModel, pairs: Sequence[PhotoGrid], convention: Convention) -> np.ndarray:
     """Depth (N, h, w) of what the network is shown of each photo, at its own size, of unknown scale."""
 
     def read(path: str | Path) -> np.ndarray:
         return visible(read_photo(path), convention)
 
-    return 1.0 / predict_disparities(net, [pair.photo for pair in pairs], device=default_device(), read=read)
+    return 1.0 / model.disparities([pair.photo for pair in pairs], read=read)
 
 
 def score_photos(training: Trained, photos: Photos, convention: Convention) -> pd.DataFrame:
     """Metrics of each photo by a training's last weights, kept beside them as `make3d_<convention>.csv` and reused while they fit."""
 
     def score(path: Path) -> None:
-        depths = predict_photos(load_depth_net(training.weights), photos.pairs, convention)
+        depths = predict_photos(training.model, photos.pairs, convention)
         write_text(path, evaluate_make3d(depths, photos.grids, convention).to_csv())
 
     return pd.read_csv(training.kept(f"make3d_{convention}.csv", {"photos": photos.digest}, score), index_col="image")
@@ -193,7 +192,7 @@ def make3d_examples(training: Trained, *, count: int = 3, size: tuple[int, int] 
     scores = score_photos(training, photos, "band")
     chosen = scores.index[np.unique(np.linspace(0, len(scores) - 1, count).round().astype(int))]
     pairs = [photos.pairs[i] for i in chosen]
-    depths = predict_photos(load_depth_net(training.weights), pairs, "band")
+    depths = predict_photos(training.model, pairs, "band")
     measured = [np.where(photos.grids[i] < FARTHEST, photos.grids[i], 0)[ROWS] for i in chosen]
     return Examples(
         [resample(visible(read_photo(pair.photo), "band"), size) for pair in pairs],

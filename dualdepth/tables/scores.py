@@ -19,7 +19,7 @@ from dualdepth.errors import InputError, first_mistake
 from dualdepth.evaluation.depth import METRICS, Parts, evaluate_parts, resize_bilinear, whole
 from dualdepth.evaluation.leaks import check_leak
 from dualdepth.files import atomic_path, file_digest, write_json, write_text
-from dualdepth.inference.predict import DepthNet, load_depth_net, predict_disparities
+from dualdepth.model import DepthModel, load
 from dualdepth.networks.architecture import Architecture
 from dualdepth.run import Run, Sources
 from dualdepth.staleness import code_digest
@@ -116,6 +116,11 @@ class Trained:
         """What the weights are and what they learned from."""
         return load_card(self.run.weights(self.variant, self.seed))
 
+    @property
+    def model(self) -> DepthModel:
+        """The depth network in the tables' precision, float32."""
+        return load(self.weights, default_device(), "float32")
+
     def check(self, drives: Iterable[str]) -> None:
         """Refuse to score frames of drives that were trained on, unless the run allows it."""
         check_leak(self.card, drives, allow=Sources.load(self.run).allow_leak, weights=self.weights)
@@ -151,7 +156,7 @@ class Trained:
         self.check(frames.drives)
 
         def predict(path: Path) -> None:
-            disparities = predict_disparities(load_depth_net(self.weights), frames.paths, device=default_device())
+            disparities = self.model.disparities(frames.paths)
             with atomic_path(path) as partial:
                 np.save(partial, disparities)
 
@@ -200,12 +205,13 @@ def trained(run: Run, variant: str, seed: int) -> Trained:
     return Trained(run, variant, seed)
 
 
-def untrained_net(run: Run, seed: int) -> DepthNet:
+def untrained_net(run: Run, seed: int) -> DepthModel:
     """LR-Net of a seed before its first step: what the architecture alone gives."""
     torch.manual_seed(seed)
     training = run.profile.training
     architecture = Architecture(network="lr", encoder=training.encoder)
-    return DepthNet(architecture.build(training.pretrained).eval(), architecture, run.profile.data.hr_size)
+    card = architecture.model_dump() | {"hr_size": run.profile.data.hr_size}
+    return DepthModel(card, architecture.build(training.pretrained), device=default_device(), precision="float32")
 
 
 class Scores(NamedTuple):

@@ -14,7 +14,7 @@ from dualdepth.errors import InputError
 from dualdepth.evaluation import odometry
 from dualdepth.evaluation.odometry import ALIGNMENTS, snippet_errors, snippets, trajectory_errors
 from dualdepth.files import atomic_path
-from dualdepth.inference.predict import load_pose_net, predict_poses
+from dualdepth.model import load_pose_net, predict_poses
 from dualdepth.run import Run, Sources
 from dualdepth.tables.scores import Trained
 
@@ -85,7 +85,7 @@ def predicted_motions(training: Trained, entry: str) -> np.ndarray:
 
     def predict(path: Path) -> None:
         with atomic_path(path) as partial:
-            np.save(partial, predict_poses(load_pose_net(training.weights), files, device=default_device()))
+            np.save(partial, predict_poses(load_pose_net(training.weights, default_device()), files))
 
     frames = [[str(f.resolve()), f.stat().st_size, f.stat().st_mtime_ns] for f in files]
     return np.load(training.kept(f"motions_{'_'.join(sequence_of(entry))}.npy", {"frames": frames}, predict))

@@ -18,15 +18,15 @@ from strategies import FUZZ, bytes_of, read_or_refuse, values_of
 from worlds import tar_of
 
 from data_scripts.archives import unpack
-from dualdepth.commands.evaluate import load_predictions
 from dualdepth.data import lidar, make3d
 from dualdepth.data.depth_maps import load_ground_truth
 from dualdepth.data.kitti import Frame, read_image
 from dualdepth.data.label_maps import read_label_map
 from dualdepth.errors import InputError
-from dualdepth.evaluation.depth import evaluate, summary
+from dualdepth.evaluation.depth import evaluate, load_predictions, summary
 from dualdepth.files import file_digest
-from dualdepth.inference import predict
+from dualdepth.model import load, load_pose_net
+from dualdepth.networks.architecture import Architecture
 from dualdepth.training.weights import load_card, load_weights, save_weights
 
 pytestmark = pytest.mark.fuzz
@@ -170,24 +170,24 @@ def test_any_floats_as_predictions(kind, resize, counted):
 
 def test_cards_of_networks(tmp_path, monkeypatch, counted):
     monkeypatch.setattr("dualdepth.networks.architecture.Architecture.build", lambda self, pretrained=False: network())
-    monkeypatch.setattr(predict, "PoseNet", network)
-    whole = predict.Architecture(network="lr", encoder="resnet18").model_dump() | {"hr_size": [192, 192]}
+    monkeypatch.setattr("dualdepth.model.PoseNet", network)
+    whole = Architecture(network="lr", encoder="resnet18").model_dump() | {"hr_size": [192, 192]}
     save_weights(
         tmp_path / "w.safetensors",
         SimpleNamespace(state_dict=lambda: network().state_dict(prefix="depth_net.") | network().state_dict(prefix="pose_net.")),
         whole,
     )
     digest = load_card(tmp_path / "w.safetensors")["sha256"]
-    assert predict.load_depth_net(tmp_path / "w.safetensors").hr_size == (192, 192)
+    assert load(tmp_path / "w.safetensors", "cpu").size == (192, 192)
 
     @FUZZ
     @given(values_of(whole))
     def try_one(value):
         (tmp_path / "w.json").write_text(json.dumps(value | {"sha256": digest} if isinstance(value, dict) else value))
         with counted():
-            for load in (predict.load_depth_net, predict.load_pose_net):
+            for read in (load, load_pose_net):
                 try:
-                    height, width = load(tmp_path / "w.safetensors").hr_size
+                    height, width = read(tmp_path / "w.safetensors", "cpu").size
                 except InputError as error:
                     assert str(error)
                 else:

@@ -12,13 +12,13 @@ from strategies import FUZZ, bytes_of, read_or_refuse, values_of
 
 from data_scripts import sources
 from data_scripts.own.camera import camera_of_file
-from dualdepth.commands.reproduce import parse_parameters
 from dualdepth.data import kitti
 from dualdepth.data.lidar import map_size, velodyne_projection
 from dualdepth.data.odometry import frame_files, pair_frames, read_trajectory, sequence_intrinsics
 from dualdepth.data.triplets import drive_triplets
 from dualdepth.evaluation.leaks import check_leak
 from dualdepth.evaluation.odometry import trajectory_errors
+from dualdepth.notebooks import parse_parameters
 from dualdepth.profile import load_profile
 from dualdepth.run import parse_seeds
 from dualdepth.training.weights import load_card

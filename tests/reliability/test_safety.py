@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from strategies import FUZZ
 
 from data_scripts import sources
-from dualdepth.commands.reproduce import parse_parameters
+from dualdepth.notebooks import parse_parameters
 
 REPOSITORY = Path(__file__).parents[2]
 SOURCES = [path for folder in ("dualdepth", "data_scripts") for path in sorted((REPOSITORY / folder).rglob("*.py"))]

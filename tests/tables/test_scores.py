@@ -1,6 +1,8 @@
 """Predictions of a training: scaled as they are scored, kept while they fit, made anew when anything they hang on changes."""
 
 import json
+from functools import partial
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -44,14 +46,13 @@ def run(tmp_path, monkeypatch):
     write_json(run.weights("lr", 0).with_suffix(".json"), {"drives": ["2011_09_26/2011_09_26_drive_0099_sync"]})
     run.predicted = []
 
-    def predict(weights, paths, *, device):
+    def predict(weights, paths):
         assert paths == ["a", "b", "c"]
         run.predicted.append(weights)
         return np.random.default_rng(weights[0]).uniform(0.02, 3, (3, 12, 20)).astype(np.float32)
 
     monkeypatch.setattr(Scored, "paths", ["a", "b", "c"])
-    monkeypatch.setattr(module, "load_depth_net", lambda path: path.read_bytes())
-    monkeypatch.setattr(module, "predict_disparities", predict)
+    monkeypatch.setattr(module, "load", lambda path, *_: SimpleNamespace(disparities=partial(predict, path.read_bytes())))
     return run
 
 

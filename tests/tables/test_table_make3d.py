@@ -1,6 +1,8 @@
 """Make3D's table: made predictions whose faults are known give the numbers that follow, and are kept while they fit."""
 
 import json
+from functools import partial
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -66,7 +68,7 @@ def run(make_run, cards, tmp_path, monkeypatch):
             run.weights(variant, seed).write_bytes(b"%s %d" % (variant.encode(), seed))
     run.predicted = []
 
-    def predict(net, paths, *, device, read):
+    def predict(net, paths, *, read):
         shown = [read(path) for path in paths]
         assert [round(photo.mean() / 40) for photo in shown] == [int(path.stem[4:]) for path in paths]
         whole = shown[0].shape[:2] == (160, 120)
@@ -78,9 +80,8 @@ def run(make_run, cards, tmp_path, monkeypatch):
         return np.stack([0.7 / ((truth if whole else truth[ROWS]) * wrong) for truth in truths])  # of any scale
 
     monkeypatch.setattr(scores, "code_digest", lambda *steps: "this")  # parses the package at every call
-    monkeypatch.setattr(make3d, "load_depth_net", lambda path: path.read_text())
-    monkeypatch.setattr(make3d, "untrained_net", lambda run, seed: f"untrained {seed}")
-    monkeypatch.setattr(make3d, "predict_disparities", predict)
+    monkeypatch.setattr(scores, "load", lambda path, *_: SimpleNamespace(disparities=partial(predict, path.read_text())))
+    monkeypatch.setattr(make3d, "untrained_net", lambda _, seed: SimpleNamespace(disparities=partial(predict, f"untrained {seed}")))
     return run
 
 

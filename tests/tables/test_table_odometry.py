@@ -16,7 +16,7 @@ from dualdepth.data.odometry import read_trajectory, write_trajectory
 from dualdepth.errors import InputError
 from dualdepth.evaluation.odometry import relative, snippet_errors, snippets, yaw_and_step
 from dualdepth.geometry import pose_matrix
-from dualdepth.inference.predict import PoseModel, predict_poses
+from dualdepth.model import PoseModel, predict_poses
 from dualdepth.networks.architecture import Architecture
 from dualdepth.networks.pose_net import PoseNet
 from dualdepth.profile import load_profile

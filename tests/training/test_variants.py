@@ -13,7 +13,7 @@ from small_stages import OTHER, STEPS, after_stage_1, backbones, change_card, eq
 from dualdepth.data.odometry import write_odometry_index
 from dualdepth.errors import InputError
 from dualdepth.files import file_digest, locked
-from dualdepth.inference.predict import load_depth_net
+from dualdepth.model import load
 from dualdepth.networks.architecture import Architecture
 from dualdepth.networks.depth_nets import DualNet, LRNet
 from dualdepth.networks.pose_net import PoseNet
@@ -133,10 +133,10 @@ def test_each_kind_of_network_is_trained_and_read_back(trained, after_stage_1, n
         drives = {"hr_only": [DRIVE, OTHER], "one_network": [OTHER]}[name]
         assert load_card(weights)["drives"] == drives
         assert (load_card(weights)["starts_from"] is None) == (name == "one_network")
-    net, architecture, hr_size = load_depth_net(weights)
-    assert architecture.network == network
-    assert hr_size == (192, 192)
-    assert equal(net.state_dict(), part(weights, "depth_net."))
+    model = load(weights)
+    assert model.architecture.network == network
+    assert model.size == (192, 192)
+    assert equal(model.depth_net.cpu().state_dict(), part(weights, "depth_net."))
 
 
 def test_what_is_done_is_not_trained_again_but_marked(trained, capsys, monkeypatch):
@@ -241,5 +241,5 @@ def test_a_residual_dual_network_gets_its_starting_scale_once_and_is_read_back(a
     train_variant(run, "dual", 0)
     assert begun == [(1, 3, 192, 192)]
     assert read_log(run.training("dual", 0) / "log.csv")["feature_spread"].min() > 0
-    net, architecture, _ = load_depth_net(run.weights("dual", 0))
-    assert architecture.residual and net.residual and load_card(run.weights("dual", 0))["residual"] is True
+    model = load(run.weights("dual", 0))
+    assert model.architecture.residual and model.depth_net.residual and load_card(run.weights("dual", 0))["residual"] is True

@@ -7,7 +7,7 @@ from functools import partial
 import pytest
 
 from dualdepth.errors import InputError
-from dualdepth.inference.inputs import LONGEST, STAMP, find_inputs, plan
+from dualdepth.inference.files import LONGEST, STAMP, find_inputs, plan
 
 
 @pytest.fixture
@@ -21,29 +21,25 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def names(paths):
-    return [path.name for path in paths]
+def names(given):
+    return [path.name for path in find_inputs(given)]
 
 
-def test_a_folder_stands_for_its_images_and_videos_by_name_and_each_file_comes_once_in_the_order_given(folder):
-    assert names(find_inputs([folder])) == ["a.PNG", "b.jpg", "c.mp4", "ü x.tif"]
-    assert names(find_inputs(["c.mp4", "sub", ".", "./b.jpg"])) == ["c.mp4", "d.png", "a.PNG", "b.jpg", "ü x.tif"]
-
-
-def test_patterns_are_matched_and_results_of_before_are_left_out(folder):
-    assert names(find_inputs(["**/*.png"])) == ["d.png"]
-    assert names(find_inputs(["[ab].*"])) == ["a.PNG", "b.jpg"]
+def test_folders_and_patterns_stand_for_their_images_and_videos_and_each_file_comes_once_in_the_order_given(folder):
+    assert names([folder]) == ["a.PNG", "b.jpg", "c.mp4", "ü x.tif"]
+    assert names(["c.mp4", "sub", ".", "./b.jpg"]) == ["c.mp4", "d.png", "a.PNG", "b.jpg", "ü x.tif"]
+    assert names(["**/*.png"]) == ["d.png"]  # results of before are left out
+    assert names(["[ab].*"]) == ["a.PNG", "b.jpg"]
     (folder / "[1].png").touch()  # a file is taken whatever it is called
-    assert names(find_inputs(["notes.txt", "a.depth.png", "[1].png"])) == ["notes.txt", "a.depth.png", "[1].png"]
+    assert names(["notes.txt", "a.depth.png", "[1].png"]) == ["notes.txt", "a.depth.png", "[1].png"]
 
 
-@pytest.mark.parametrize(
-    ("given", "said"), [("gone.png", "no such file or folder"), ("*.xyz", "no images or videos"), ("empty", "no images")]
-)
-def test_what_is_not_there_is_named(folder, given, said):
+@pytest.mark.parametrize("given", ["gone.png", "*.xyz", "empty"])
+def test_what_is_not_there_is_named(folder, given):
     (folder / "empty").mkdir()
-    with pytest.raises(InputError, match=rf"^{given.replace('*', '.')}: {said}"):
+    with pytest.raises(InputError) as error:
         find_inputs([given])
+    assert str(error.value).startswith(f"{given}: no ")
 
 
 OPTIONS = {"weights": "w", "scale": "1.0"}
@@ -87,7 +83,7 @@ def test_files_of_one_stem_get_names_of_their_own_that_stay(files, tmp_path):
         assert {task.path: task.name for task in tasks}.items() <= dict(zip(files, ("x", "x-2", "x-3", "y"))).items()
 
 
-def test_what_is_there_is_left_out_and_what_is_not_is_made(files, tmp_path, left, done):
+def test_what_is_there_is_left_out_and_what_is_not_or_whose_input_changed_is_made(files, tmp_path, left, done):
     done(files[:2])
     assert left(files) == [(), (), ("colour", "depth"), ("colour", "depth")]
     assert left(files[:1], ("depth", "npy")) == [("npy",)]
@@ -106,7 +102,7 @@ def test_other_options_make_all_again_also_what_a_later_run_asks_for(files, left
     done(files[:2])
     assert left(files[:2]) == [(), ()] and not capsys.readouterr().out
     done(files[:1], scale="2.0")
-    assert "made with other scale; they are made again" in capsys.readouterr().out
+    assert "other scale;" in capsys.readouterr().out
     assert left(files[:2], scale="2.0") == [(), ("colour", "depth")] and not capsys.readouterr().out
     assert left(files[:2]) == [("colour", "depth")] * 2
 
@@ -122,8 +118,8 @@ def test_names_of_any_length_and_letters_are_kept_below_what_file_systems_allow(
     paths = [*(tmp_path / ("ü" * 110 + f"{i}.png") for i in range(2)), tmp_path / os.fsdecode(b"\xff.png")]
     for path in paths:
         path.touch()
-    names = [task.name for task in plan(paths, tmp_path, OPTIONS, None, False)]
-    assert len(set(names)) == 3
-    assert all(len(name.encode()) <= LONGEST + 2 for name in names) and all(name.startswith("üüü") for name in names[:2])
+    found = [task.name for task in plan(paths, tmp_path, OPTIONS, None, False)]
+    assert len(set(found)) == 3
+    assert all(len(name.encode()) <= LONGEST + 2 for name in found) and all(name.startswith("üüü") for name in found[:2])
     done(paths)
     assert left(paths) == [()] * 3

@@ -10,15 +10,14 @@ from small_kitti import wall
 
 from dualdepth.data.frames import Video
 from dualdepth.errors import InputError
-from dualdepth.inference.outputs import SUFFIXES, WIDEST, Camera, Style, png16, save, write_video
-from dualdepth.inference.pictures import SMALLEST, Range, colours, picture
+from dualdepth.inference.results import SMALLEST, SUFFIXES, WIDEST, Style, colour_ends, colours_of, picture, save, write_video
 
 STYLE = Style("Depth is relative. Learned by a 3×3 net.")
 
 
 @pytest.fixture
 def depth():
-    return np.geomspace(1.6, 1000, 40 * 60, dtype=np.float32).reshape(40, 60)
+    return np.geomspace(1e-5, 1000, 40 * 60, dtype=np.float32).reshape(40, 60)
 
 
 def test_the_png_is_kittis_and_says_so_and_the_array_is_the_depth(depth, tmp_path):
@@ -27,10 +26,9 @@ def test_the_png_is_kittis_and_says_so_and_the_array_is_the_depth(depth, tmp_pat
     save("depth", tmp_path / "d.png", wall(40, 60), depth, STYLE)
     read = cv2.imread(str(tmp_path / "d.png"), cv2.IMREAD_UNCHANGED)
     assert (read.dtype, read.shape) == (np.uint16, depth.shape)
-    near = depth < 255.9
-    np.testing.assert_allclose(read[near] / 256, depth[near], atol=1 / 512 + 1e-6)
-    assert (read[depth > 256] == 65535).all()
-    assert png16(np.float32([1e-5, 1e9])).tolist() == [1, 65535]  # 0 means none
+    within = (depth > 0.01) & (depth < 255.9)
+    np.testing.assert_allclose(read[within] / 256, depth[within], atol=1 / 512 + 1e-6)
+    assert (read[depth > 256] == 65535).all() and read[0, 0] == 1  # 0 means none
     with PIL.Image.open(tmp_path / "d.png") as image:
         assert image.text["Description"] == f"value / 256 = relative depth; 65535 = 256 or more. {STYLE.about}"
 
@@ -47,8 +45,7 @@ def read_ply(path):
 
 def test_points_project_to_their_pixels_in_their_colours(depth, tmp_path):
     image = wall(40, 60)
-    camera = Camera(intrinsics=(50.0, 55.0, 30.0, 20.0))
-    save("ply", tmp_path / "d.ply", image, depth, STYLE._replace(camera=camera))
+    save("ply", tmp_path / "d.ply", image, depth, STYLE._replace(intrinsics=(50.0, 55.0, 30.0, 20.0)))
     comments, points, rgb = read_ply(tmp_path / "d.ply")
     assert np.array_equal(points[:, 2], depth.ravel())
     v, u = np.indices(depth.shape).reshape(2, -1)
@@ -60,36 +57,42 @@ def test_points_project_to_their_pixels_in_their_colours(depth, tmp_path):
 
 
 def test_intrinsics_not_given_are_a_stated_default():
-    fx, fy, cx, cy = Camera().of((375, 1242))
-    assert (fx, cx, cy) == (pytest.approx(721.5377, rel=1e-6), 620.5, 187.0)
-    assert fx == fy
-    assert Camera(field_of_view=90).of((10, 200))[0] == pytest.approx(100)
-    assert Camera(focal=33).of((10, 21)) == (33, 33, 10, 4.5)
+    (fx, fy, cx, cy), note = STYLE.camera((375, 1242))
+    assert (fx, cx, cy) == (pytest.approx(721.5377, rel=1e-6), 620.5, 187.0) and fx == fy
+    assert "81.4 degrees by default" in note
+    assert Style("", field_of_view=90).camera((10, 200))[0][0] == pytest.approx(100)
+    assert Style("", focal=33).camera((10, 21))[0] == (33, 33, 10, 4.5)
+
+
+IMPOSSIBLE = [{"focal": 0}, {"focal": math.nan}, {"intrinsics": (1, -1, 0, 0)}, {"intrinsics": (1, 1, math.inf, 0)}]
 
 
 @pytest.mark.parametrize(
-    "camera", [Camera(focal=0), Camera(focal=math.nan), Camera((1, -1, 0, 0)), Camera((1, 1, math.inf, 0)), Camera(field_of_view=180)]
+    "settings", [*IMPOSSIBLE, {"field_of_view": 180}, {"field_of_view": 0}, {"scale": 0}, {"scale": math.inf}], ids=str
 )
-def test_impossible_cameras_are_refused(camera):
+def test_impossible_cameras_and_scales_are_refused(settings):
     with pytest.raises(InputError):
-        camera.check()
+        Style("", **settings).check()
 
 
-def test_near_is_bright_and_far_is_dark(depth):
-    drawn = colours(depth, Range.of(depth)).sum(2)
+def test_near_is_bright_and_far_is_dark():
+    depth = np.geomspace(1.6, 1000, 40 * 60, dtype=np.float32).reshape(40, 60)
+    drawn = colours_of(depth, colour_ends(depth)).sum(2)
     assert drawn[0, 0] > 500 > 50 > drawn[-1, -1]
     assert (np.diff(drawn.ravel().astype(int)) <= 1).all()
 
 
 @pytest.mark.parametrize("size", [(1, 1), (16, 24), (375, 1242), (700, 301)])
-def test_pictures_hold_the_image_whole_beside_a_bar(size):
+def test_pictures_hold_the_image_whole_beside_a_bar_of_one_width_for_all_depths(size):
     depth, image = np.full(size, 3.0, np.float32), wall(*size)
-    alone, both = (picture(depth, Range.of(depth), "relative depth", left) for left in (None, image))
+    alone, both = (picture(depth, colour_ends(depth), "relative depth", left) for left in (None, image))
     assert alone.shape[0] == both.shape[0] == max(SMALLEST, size[0])
     assert both.shape[1] - alone.shape[1] == size[1]
     assert alone.shape[1] > size[1] + 20
     assert np.array_equal(both[: size[0], : size[1]], image)
     assert np.array_equal(both[:, size[1] :], alone)
+    far = depth * np.float32(1.2345e6)
+    assert picture(far, colour_ends(far), "relative depth").shape == alone.shape
 
 
 @pytest.mark.parametrize("kind", SUFFIXES)
@@ -103,7 +106,7 @@ def test_nothing_half_written_is_left(kind, tmp_path, depth, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("size", [(91, 161), (120, 320), (90, 161)])
+@pytest.mark.parametrize("size", [(91, 161), (120, 320)])
 def test_a_video_that_is_written_can_be_read_again_whatever_its_size(tmp_path, size):
     path = tmp_path / "o.mp4"
     sent = [cv2.GaussianBlur(wall(*size, seed=i), (15, 15), 5) for i in range(5)]
@@ -116,16 +119,15 @@ def test_a_video_that_is_written_can_be_read_again_whatever_its_size(tmp_path, s
     assert np.abs(read[0][: size[0], : size[1]].astype(int) - sent[0]).mean() < 12
 
 
-def test_frames_too_wide_for_players_are_shrunk(tmp_path):
-    write_video(tmp_path / "o.mp4", 10, [np.zeros((100, 2 * WIDEST, 3), np.uint8)])
+def test_frames_too_wide_for_players_are_shrunk_and_a_video_that_is_stopped_leaves_no_file(tmp_path):
+    wide = np.zeros((100, 2 * WIDEST, 3), np.uint8)
+    write_video(tmp_path / "o.mp4", 10, [wide])
     assert next(Video(tmp_path / "o.mp4").frames())[1].shape == (50, WIDEST, 3)
 
-
-def test_a_video_that_is_stopped_leaves_no_file(tmp_path):
     def stopped():
-        yield np.zeros((90, 160, 3), np.uint8)
+        yield wide
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        write_video(tmp_path / "o.mp4", 10, stopped())
-    assert not list(tmp_path.iterdir())
+        write_video(tmp_path / "stopped.mp4", 10, stopped())
+    assert [path.name for path in tmp_path.iterdir()] == ["o.mp4"]

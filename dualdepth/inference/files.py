@@ -1,0 +1,294 @@
+"""Depth of files: which are meant, what is left to do by make's rule, and a pipeline that reads ahead, computes in batches, writes behind.
+
+A result is kept if it is newer than the time since which its input and all options are the same.
+"""
+
+import glob
+import itertools
+import json
+import os
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+import torch
+from tqdm import tqdm
+
+from dualdepth.data.frames import IMAGES, Video
+from dualdepth.data.kitti import read_image
+from dualdepth.errors import InputError
+from dualdepth.files import locked, remove_leftovers, write_text
+from dualdepth.inference.results import SIDE_VIDEO, SUFFIXES, Style, colour_ends, picture, save, write_video
+from dualdepth.model import DepthModel
+
+VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
+STAMP = "predictions.json"
+"""In the folder of results: the options that shaped them and since when (ns) these are the same; and, by the name of its results, each
+input's path, its own time (ns) and since when it has that. An input replaced by an older file so counts as changed."""
+LONGEST = 120
+"""Bytes of a result's name before its ending; file systems allow 255, and a temporary name is longer."""
+GPU_BATCH = 16
+"""Images at a time on a GPU, halved until they fit; on a CPU one at a time is as fast as several."""
+WORKERS = min(8, os.cpu_count() or 1)
+"""Threads that read, draw and write."""
+
+
+def predict_files(
+    paths: Sequence[Path],
+    out: Path,
+    model: DepthModel,
+    style: Style,
+    *,
+    kinds: Sequence[str] | None = None,
+    batch_size: int | None = None,
+    overwrite: bool = False,
+) -> bool:
+    """Write what is predicted of files into a folder, say what comes of it, and keep results that are newer than what they are made of.
+
+    Args:
+        paths: of the inputs, from `find_inputs`.
+        out: folder of the results; `STAMP` in it says what is what.
+        model, style: that predicts, and what results say.
+        kinds: keys of `SUFFIXES`; None takes colour and depth of an image, side of a video.
+        batch_size: images computed together; None chooses.
+        overwrite: make again what is there.
+
+    Returns:
+        Whether all inputs could be read, and to their end; the others are named on stderr.
+
+    Raises:
+        InputError: results cannot be written, another process writes there, or the network gives no numbers.
+    """
+    options = {"weights": f"{model.card['sha256']}: {model.about}", "precision": model.precision, "scale": repr(style.scale)}
+    options["camera"] = repr(style[2:])
+    try:
+        with locked(out / ".predict.lock"):
+            for folder in (out, *out.glob("*.frames")):
+                remove_leftovers(folder, below=False)
+            tasks = plan(paths, out, options, kinds, overwrite)
+            todo = [task for task in tasks if task.kinds]
+            if any("ply" in task.kinds for task in todo):
+                print(f"point clouds: {style.camera((1, 1))[1]}")
+            print(f"{len(todo)} of {len(tasks)} inputs to predict on {model.device} in {model.precision}", flush=True)
+            predictor = Predictor(model, out, style, batch_size or (GPU_BATCH if model.device.type == "cuda" else 1))
+            predictor.run(todo)
+    except OSError as error:
+        raise InputError(f"{out}: results cannot be written ({error}); the same command then goes on where it was") from None
+    there = f", {len(tasks) - len(todo)} were there" if len(todo) < len(tasks) else ""
+    broken = f", {len(predictor.broken)} broken" if predictor.broken else ""
+    print(f"{out}: {predictor.made} predicted{there}{broken}")
+    return not predictor.broken
+
+
+def find_inputs(given: Iterable[str | Path]) -> list[Path]:
+    """Files in the order given, each once.
+
+    A file is taken whatever its ending. A folder stands for the images and videos in it (not below it), by name; a pattern
+    (`*`, `?`, `[…]`, `**`) for those that match it. Of both, hidden files and results of an earlier prediction are left out.
+
+    Raises:
+        InputError: something is not there, or there are no images or videos in it.
+    """
+    return list({path.resolve(): path for word in given for path in _files(str(word))}.values())
+
+
+def _files(word: str) -> list[Path]:
+    path, known = Path(word), IMAGES + VIDEOS
+    if path.is_file():
+        return [path]
+    if not path.is_dir() and not glob.has_magic(word):
+        raise InputError(f"{word}: no such file or folder; give an image, a video, a folder or a pattern in quotes")
+    candidates = path.iterdir() if path.is_dir() else map(Path, glob.glob(word, recursive=True))
+    usable = sorted(path for path in candidates if path.suffix.lower() in known and path.is_file() and not path.name.startswith("."))
+    usable = [path for path in usable if not path.name.lower().endswith((*SUFFIXES.values(), SIDE_VIDEO))]
+    if not usable:
+        raise InputError(f"{word}: no images or videos there; known endings are {' '.join(known)}")
+    return usable
+
+
+class Task(NamedTuple):
+    """One input and what is to be made of it."""
+
+    path: Path
+    name: str
+    """Of its results."""
+    kinds: tuple[str, ...] = ()
+    """Kinds of results still to be written; empty if all exist."""
+
+    @property
+    def video(self) -> bool:
+        """Whether the input is read as a video, by its ending."""
+        return self.path.suffix.lower() in VIDEOS
+
+    def file(self, kind: str, frame: int = 0) -> str:
+        """Name of a result below the folder of results; a video has one of a kind for each frame, but `side` is a video again."""
+        if not self.video:
+            return f"{self.name}{SUFFIXES[kind]}"
+        return f"{self.name}{SIDE_VIDEO}" if kind == "side" else f"{self.name}.frames/{frame:06d}{SUFFIXES[kind]}"
+
+
+def plan(paths: Sequence[Path], out: Path, options: dict[str, str], kinds: Sequence[str] | None, overwrite: bool) -> list[Task]:
+    """A task for each input, in their order; results that are there are not made again, unless other `options` shaped them.
+
+    `STAMP` is written into `out`; the other arguments are those of `predict_files`.
+    """
+    before, since, inputs = _read_stamp(out / STAMP)
+    if before != options:
+        if changed := [name for name in options if before and before.get(name) != options[name]]:
+            print(f"{out}: its results were made with other {', '.join(changed)}; they are made again")
+        since = time.time_ns()
+    tasks = []
+    for path in paths:
+        task = Task(path, _name(path, inputs))
+        entry, changed = inputs[task.name], _changed(path)
+        if entry["changed"] != changed:
+            entry |= {"changed": changed, "since": time.time_ns()}
+        latest = max(since, entry["since"])
+        wanted = kinds or (("side",) if task.video else ("colour", "depth"))
+        tasks.append(task._replace(kinds=tuple(kind for kind in wanted if overwrite or _changed(out / task.file(kind)) <= latest)))
+    write_text(out / STAMP, json.dumps({"options": options, "since": since, "inputs": inputs}, indent=1) + "\n")
+    return tasks
+
+
+def _read_stamp(path: Path) -> tuple[dict[str, str], int, dict[str, dict[str, Any]]]:
+    """Options, since when, and inputs by the names of their results; nothing where there is no stamp that can be read."""
+    try:
+        stamp: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        inputs = {name: {key: entry[key] for key in ("path", "changed", "since")} for name, entry in stamp["inputs"].items()}
+        return dict(stamp["options"]), int(stamp["since"]), inputs
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+        return {}, 0, {}
+
+
+def _name(path: Path, inputs: dict[str, dict[str, Any]]) -> str:
+    """The name of a file's results: its stem, with -2, -3, … where another file has that already. It is added to `inputs`."""
+    stem = path.stem.encode("utf-8", "surrogateescape")[:LONGEST].decode("utf-8", "ignore")
+    for name in itertools.chain([stem], (f"{stem}-{number}" for number in itertools.count(2))):
+        if inputs.setdefault(name, {"path": str(path.absolute()), "changed": -1, "since": 0})["path"] == str(path.absolute()):
+            return name
+
+
+def _changed(path: Path) -> int:
+    """When a file was last changed, in ns; 0 where there is none."""
+    return path.stat().st_mtime_ns if path.exists() else 0
+
+
+class Item(NamedTuple):
+    """An image or a video's frame on its way; a frame has a number, and a colour scale that follows its depths slowly."""
+
+    task: Task
+    image: np.ndarray
+    number: int = 0
+    depth: np.ndarray | None = None
+    ends: np.ndarray | None = None
+
+
+@dataclass
+class Predictor:
+    """Does tasks and keeps count; the fields are arguments of `predict_files`."""
+
+    model: DepthModel
+    out: Path
+    style: Style
+    batch_size: int
+    made: int = 0
+    """Inputs whose results were written."""
+    broken: list[Path] = field(default_factory=list)
+    """Inputs that could not be read, or not to their end; they are named on stderr and left out."""
+
+    def run(self, tasks: Sequence[Task]) -> None:
+        """Do all tasks, the images first."""
+        images = [task for task in tasks if not task.video]
+        with ThreadPoolExecutor(WORKERS) as pool:
+            read = ahead(pool, self._read, images, self.batch_size + 2 * WORKERS)
+            with _bar(read, len(images), "predicting", "image") as bar:
+                for _ in ahead(pool, self._save, self._predicted(item for item in bar if item)):
+                    self.made += 1
+            for task in tasks:
+                if task.video:
+                    self._video(task, pool)
+
+    def _tell(self, task: Task, trouble: object) -> None:
+        self.broken.append(task.path)
+        tqdm.write(f"broken: {trouble}", file=sys.stderr)
+
+    def _read(self, task: Task) -> Item | None:
+        try:
+            return Item(task, read_image(task.path))
+        except InputError as error:
+            return self._tell(task, error)
+
+    def _video(self, task: Task, pool: Executor) -> None:
+        """Predict a video. The files of its first frame are written last, and so say that all are there."""
+        try:
+            video = Video(task.path)
+        except InputError as error:
+            return self._tell(task, error)
+        side, first = "side" in task.kinds, []
+
+        def drawn(item: Item) -> np.ndarray | None:
+            first.append(item) if item.number == 0 else self._save(item)
+            return picture(item.depth, item.ends, self.style.unit, item.image) if side else None
+
+        frames = (Item(task, cv2.resize(frame, video.size[::-1]), number) for number, frame in video.frames())
+        with _bar(ahead(pool, drawn, _coloured(self._predicted(frames))), video.announced, task.path.name, "frame") as bar:
+            if side:
+                write_video(self.out / task.file("side"), video.rate, bar)
+            else:
+                deque(bar, maxlen=0)
+        self._save(first[0])
+        self.made += 1
+        if video.missing:
+            self._tell(task, f"{task.path}: {video.missing}, and its results hold those")
+
+    def _save(self, item: Item) -> None:
+        """Write the files of an image or a video's frame."""
+        for kind in item.task.kinds:
+            if not (item.task.video and kind == "side"):
+                save(kind, self.out / item.task.file(kind, item.number), item.image, item.depth, self.style, item.ends)
+
+    def _predicted(self, items: Iterator[Item]) -> Iterator[Item]:
+        """The same with depths, in the same order; in smaller batches from now on where the GPU's memory is too small."""
+        batch: list[Item] = []
+        while batch := batch or list(itertools.islice(items, self.batch_size)):
+            try:
+                depths = self.model.predict_batch([item.image for item in batch[: self.batch_size]])
+            except torch.OutOfMemoryError:
+                if self.batch_size == 1:
+                    raise InputError(f"{self.model.device}: too little memory for one image; give --device cpu") from None
+                self.batch_size //= 2
+                continue
+            yield from (item._replace(depth=depth * np.float32(self.style.scale)) for item, depth in zip(batch, depths))
+            batch = batch[len(depths) :]
+
+
+def _coloured(items: Iterable[Item]) -> Iterator[Item]:
+    """A video's frames with colour scales that move a tenth towards each frame's own, so that nothing flickers."""
+    ends = None
+    for item in items:
+        own = colour_ends(item.depth)
+        ends = own if ends is None else ends + 0.1 * (own - ends)
+        yield item._replace(ends=ends)
+
+
+def ahead(pool: Executor, work: Callable[[Any], Any], items: Iterable[Any], most: int = 2 * WORKERS) -> Iterator[Any]:
+    """`map(work, items)` by a pool, with at most `most` items taken that were not yet given on."""
+    pending = deque()
+    for item in items:
+        pending.append(pool.submit(work, item))
+        if len(pending) >= most:
+            yield pending.popleft().result()
+    while pending:
+        yield pending.popleft().result()
+
+
+def _bar(items: Iterable[Any], total: int | None, what: str, unit: str) -> "tqdm[Any]":
+    """The items, with progress, rate and time left, also where stderr is a file, there in fewer lines."""
+    return tqdm(items, total=total, desc=what, unit=unit, disable=total == 0, mininterval=0.2 if sys.stderr.isatty() else 10)
