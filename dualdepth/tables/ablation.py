@@ -6,7 +6,7 @@ import pandas as pd
 
 from dualdepth.run import Run
 from dualdepth.tables.claims import claims_of
-from dualdepth.tables.rows import comparisons, paired, training_row, with_paper
+from dualdepth.tables.rows import comparisons, method_row, paired, with_paper
 from dualdepth.tables.scores import Scores, collect, scored
 
 VARIANTS = (
@@ -24,7 +24,7 @@ def ablation_scores(run: Run, seeds: Sequence[int]) -> Scores:
 
 def ablation_table(run: Run, scores: Scores) -> pd.DataFrame:
     """The paper's three rows and ours: the same three, then the extras; means and standard deviations over seeds."""
-    rows = [training_row(scores, variant, note=scored(run).note) for variant in VARIANTS]
+    rows = [method_row(scores, variant, note=scored(run).note) for variant in VARIANTS]
     return with_paper("ablation", [{"method": run.profile.variant(row["variant"]).label, **row} for row in rows])
 
 

@@ -14,7 +14,7 @@ from dualdepth.evaluation.cost import count, latency
 from dualdepth.networks.architecture import Architecture
 from dualdepth.run import Run
 from dualdepth.tables.claims import claims_of
-from dualdepth.tables.rows import MEASURED, comparisons, not_run, paired, training_row, with_paper
+from dualdepth.tables.rows import MEASURED, comparisons, method_row, not_run, paired, with_paper
 from dualdepth.tables.scores import Scores, collect, scored
 
 NO_WEIGHTS = "no ImageNet weights in this profile: `training.pretrained` is false"
@@ -71,12 +71,12 @@ def backbone_table(run: Run, scores: Scores, repeats: int = 3) -> pd.DataFrame:
         "" if has_bf16(default_device()) else ", bf16 not measured: the device only imitates it"
     )
     for name, (_, variant) in NETWORKS.items():
-        row = training_row(scores, variant, note=scored(run).note)
+        row = method_row(scores, variant, note=scored(run).note)
         note = "; ".join([cost, *([f"metrics of variant {variant}: {row['note']}"] if "note" in row else [])])
         rows.append({"backbone": name, **cost_row(name, repeats), **row, "source": MEASURED, "note": note})
-    dual = training_row(scores, "dual", note=scored(run).note)
+    dual = method_row(scores, "dual", note=scored(run).note)
     if run.profile.training.pretrained:
-        begun, new = dual, training_row(scores, "dual_scratch", note=scored(run).note)
+        begun, new = dual, method_row(scores, "dual_scratch", note=scored(run).note)
     else:
         begun, new = {"variant": "dual", **not_run(NO_WEIGHTS)}, dual
     return with_paper("backbone", [*rows, {"backbone": "w/ pt", **begun}, {"backbone": "w/o pt", **new}])

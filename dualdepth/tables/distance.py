@@ -6,7 +6,7 @@ import pandas as pd
 
 from dualdepth.evaluation.distance import PARTS, near_and_far
 from dualdepth.run import Run
-from dualdepth.tables.rows import comparisons, gains, paired, training_row, with_paper
+from dualdepth.tables.rows import comparisons, gains, method_row, paired, with_paper
 from dualdepth.tables.scores import Scores, collect, scored
 
 METHODS = {"lr": "w/o HR-Net", "dual_no_sa": "w/ HR-Net, w/o SA", "dual": "w/ HR-Net"}
@@ -27,7 +27,7 @@ def distance_table(run: Run, by_ratio: dict[bool, Scores]) -> pd.DataFrame:
     for own_ratio, scores in by_ratio.items():
         for variant, method in METHODS.items():
             for part in PARTS:
-                row = training_row(scores, variant, part=part, note=scored(run).note)
+                row = method_row(scores, variant, part=part, note=scored(run).note)
                 rows.append({"method": method, "distance": part, "scaling": RATIOS[own_ratio], **row})
     return with_paper("distance", rows)
 

@@ -1,7 +1,7 @@
 """Make3D: the trained networks, not fine-tuned, on upright photos of another camera in other places."""
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,8 +20,8 @@ from dualdepth.evaluation.make3d import CONVENTIONS, FARTHEST, METRICS, ROWS, Co
 from dualdepth.files import file_digest, write_text
 from dualdepth.model import DepthModel
 from dualdepth.run import Run, Sources
-from dualdepth.tables.rows import MEASURED, comparisons, not_run, over_seeds, paired, seed_label, training_row, with_paper
-from dualdepth.tables.scores import Scores, Trained, collect, untrained_net
+from dualdepth.tables.rows import comparisons, method_row, paired, with_paper
+from dualdepth.tables.scores import SEEDLESS, Scores, Trained, collect, untrained_net
 
 VARIANTS = ("lr", "dual_no_sa", "dual")
 NO_PHOTOS = "no MAKE3D_ROOT; get it with python data_scripts/download_make3d.py --root DIR"
@@ -97,21 +97,24 @@ def make3d_scores(run: Run, seeds: Sequence[int]) -> Scores:
         scores = collect(run, VARIANTS, seeds, reason=NO_PHOTOS)
         return scores._replace(missing=scores.missing | dict.fromkeys((CONSTANT, MEAN, UNTRAINED), NO_PHOTOS))
 
-    def by_convention(score: Any) -> pd.DataFrame:
+    def by_convention(score: Callable[[Convention], pd.DataFrame]) -> pd.DataFrame:
         return pd.concat({c: score(c) for c in CONVENTIONS}, names=["part"]).swaplevel()
 
-    scores = collect(run, VARIANTS, seeds, lambda t: by_convention(lambda c: score_photos(t, photos, c)), reason="", drives=())
-    untrained = {}
-    for seed in seeds:
+    def untrained(seed: int) -> pd.DataFrame:
         net = untrained_net(run, seed)
-        untrained[UNTRAINED, seed] = by_convention(
-            lambda c, net=net: evaluate_make3d(predict_photos(net, photos.pairs, c), photos.grids, c)
-        )
-    scores = scores._replace(frame=pd.concat([scores.frame, pd.concat(untrained, names=["variant", "seed"])]))
-    scores = scores.plus(CONSTANT, by_convention(lambda _: _score_constant(1.0, photos, median_scaling=True)))
-    if (depth := training_mean(run)) is not None:
-        scores = scores.plus(MEAN, by_convention(lambda _: _score_constant(depth, photos, median_scaling=False)))
-    return scores
+        return by_convention(lambda c: evaluate_make3d(predict_photos(net, photos.pairs, c), photos.grids, c))
+
+    def constant(depth: float, *, median_scaling: bool) -> dict[int, pd.DataFrame]:
+        maps = [np.full((1, 1), depth)] * len(photos.grids)
+        return {SEEDLESS: by_convention(lambda c: evaluate_make3d(maps, photos.grids, c, median_scaling=median_scaling))}
+
+    scores = collect(run, VARIANTS, seeds, lambda t: by_convention(lambda c: score_photos(t, photos, c)), reason="", drives=())
+    scores = scores.plus(UNTRAINED, {seed: untrained(seed) for seed in seeds}, "before its first step")
+    note = "any constant, scaled to each photo's median as the networks are"
+    scores = scores.plus(CONSTANT, constant(1.0, median_scaling=True), note)
+    if (mean := training_mean(run)) is None:
+        return scores
+    return scores.plus(MEAN, constant(mean, median_scaling=False), f"{mean:.1f} m, mean of training-side laser frames, not scaled")
 
 
 def training_mean(run: Run) -> float | None:
@@ -122,42 +125,26 @@ def training_mean(run: Run) -> float | None:
     return mean_depth(depth_sums(load_ground_truth(fitted), grid=GRID, max_depth=run.profile.evaluation.max_depth), "constant").item()
 
 
-def _score_constant(depth: float, photos: Photos, *, median_scaling: bool) -> pd.DataFrame:
-    maps = [np.full((1, 1), depth)] * len(photos.grids)
-    return evaluate_make3d(maps, photos.grids, "band", median_scaling=median_scaling)
-
-
 def make3d_table(run: Run, scores: Scores) -> pd.DataFrame:
     """The paper's rows, constants, LR-Net before its training, and the trained networks by both conventions (column `convention`).
 
     Where the run has no MAKE3D_ROOT our rows have no numbers and say how to get it.
     """
-    photos, mean = load_photos(run), training_mean(run)
-    rows = [_row(scores, CONSTANT, "band", "any constant, scaled to each photo's median as the networks are") | {"convention": "either"}]
-    if mean is not None:
-        row = _row(scores, MEAN, "band", f"{mean:.1f} m, mean of training-side laser frames, not scaled")
-        rows.append(row | {"convention": "either", "supervision": "Depth"})
-    missing = ""
+    photos = load_photos(run)
+    remarks = [f"{name} is truncated" for name in photos.truncated] if photos else []
     if photos and not run.profile.world and len(photos.pairs) != MAKE3D_PHOTOS:
-        missing = f"{len(photos.pairs)} of {MAKE3D_PHOTOS} photos"
-    remarks = [*(f"{name} is truncated" for name in (photos.truncated if photos else ())), *filter(None, [missing])]
+        remarks.append(f"{len(photos.pairs)} of {MAKE3D_PHOTOS} photos")
+    shown = [(CONSTANT, "band", "either", "-", ""), (MEAN, "band", "either", "Depth", "")]
     for convention in CONVENTIONS:
-        rows.append(_row(scores, UNTRAINED, convention, "; ".join(["before its first step", *remarks])))
-        for variant in VARIANTS:
-            row = training_row(scores, variant, METRICS, convention, "; ".join(["not fine-tuned", *remarks]))
-            named = {"method": run.profile.variant(variant).label, "supervision": "-", "convention": convention}
-            rows.append(named | row)
+        shown.append((UNTRAINED, convention, convention, "-", "; ".join(remarks)))
+        shown += [(variant, convention, convention, "-", "; ".join(["not fine-tuned", *remarks])) for variant in VARIANTS]
+    rows = []
+    for name, part, convention, supervision, note in shown:
+        if name != MEAN or training_mean(run) is not None:
+            method = run.profile.variant(name).label if name in VARIANTS else name
+            row = {"method": method, "supervision": supervision, "convention": convention}
+            rows.append(row | method_row(scores, name, METRICS, part, note))
     return with_paper("make3d", rows)
-
-
-def _row(scores: Scores, name: str, convention: str, note: str) -> dict[str, Any]:
-    """Row of a method that is no training."""
-    row = {"method": name, "supervision": "-", "convention": convention}
-    if name in scores.missing:
-        return row | not_run(scores.missing[name])
-    frame = scores.of(name, convention)
-    seeds = seed_label(frame.index.unique("seed")) if name == UNTRAINED else ""
-    return row | over_seeds(frame, METRICS) | {"seeds": seeds, "source": MEASURED, "note": note}
 
 
 def made_from(run: Run, seeds: Sequence[int]) -> dict[str, Any]:
@@ -172,20 +159,10 @@ def make3d_claims(scores: Scores) -> pd.DataFrame:
     return comparisons(paired(scores, "dual", "lr", ["abs_rel"], part="band"))
 
 
-class Examples(NamedTuple):
-    """Some photos for `plots.depth_comparison`, in the order of its arguments."""
-
-    images: list[np.ndarray]
-    """The central bands, (H, W, 3)."""
-    truths: list[np.ndarray]
-    """The scored rows of the grids in metres, each cell enlarged to its pixels; 0 where nothing is scored."""
-    predictions: list[np.ndarray]
-    """Depth in metres, scaled and clamped as it is scored."""
-    titles: list[str]
-
-
-def make3d_examples(training: Trained, *, count: int = 3, size: tuple[int, int] = (320, 640)) -> Examples | None:
-    """`count` photos, evenly spread, predicted by a training; None where the run has no MAKE3D_ROOT."""
+def make3d_examples(training: Trained, *, count: int = 3, size: tuple[int, int] = (320, 640)) -> tuple[list, ...] | None:
+    """`count` photos, evenly spread, predicted by a training, as arguments of `plots.depth_comparison`: the central bands (H, W, 3); the
+    scored rows of the grids in metres, each cell enlarged to its pixels, 0 where nothing is scored; depth in metres, scaled and clamped
+    as it is scored; titles. None where the run has no MAKE3D_ROOT."""
     photos = load_photos(training.run)
     if photos is None:
         return None
@@ -194,7 +171,7 @@ def make3d_examples(training: Trained, *, count: int = 3, size: tuple[int, int] 
     pairs = [photos.pairs[i] for i in chosen]
     depths = predict_photos(training.model, pairs, "band")
     measured = [np.where(photos.grids[i] < FARTHEST, photos.grids[i], 0)[ROWS] for i in chosen]
-    return Examples(
+    return (
         [resample(visible(read_photo(pair.photo), "band"), size) for pair in pairs],
         [cv2.resize(grid, size[::-1], interpolation=cv2.INTER_NEAREST) for grid in measured],
         [np.minimum(resize_bilinear(depth, size) * scores.loc[i, "scale_ratio"], FARTHEST) for i, depth in zip(chosen, depths)],

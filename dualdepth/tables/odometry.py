@@ -11,8 +11,8 @@ from dualdepth.data.odometry import poses_path, read_trajectory, sequence_of
 from dualdepth.evaluation.odometry import ALIGNMENTS, aligned, relative, yaw_and_step
 from dualdepth.evaluation.statistics import mean_std
 from dualdepth.run import Run, Sources
-from dualdepth.tables.rows import MEASURED, comparisons, not_run, over_seeds, paired, seed_label, training_row, with_paper
-from dualdepth.tables.scores import Scores, Trained, collect
+from dualdepth.tables.rows import MEASURED, comparisons, method_row, not_run, over_seeds, paired, seed_label, with_paper
+from dualdepth.tables.scores import SEEDLESS, Scores, Trained, collect
 from dualdepth.tables.trajectories import (
     CONTROLS,
     LENGTHS,
@@ -44,8 +44,10 @@ def odometry_scores(run: Run, seeds: Sequence[int]) -> Scores:
     scores = collect(run, run.profile.pose_variants, seeds, lambda t: follow(t, entries), reason=reason, drives=drives)
     if reason:
         return scores._replace(missing=scores.missing | dict.fromkeys(CONTROLS, reason))
+    known = f"the mean step of sequences {' '.join(known_sequences(run))}, never turning"
+    notes = {"constant": known, "straight": "a metre a frame along the optical axis", "inverted": "a mistake that snippets hardly see"}
     for name in CONTROLS:
-        scores = scores.plus(name, follow_control(run, name, entries))
+        scores = scores.plus(name, {SEEDLESS: follow_control(run, name, entries)}, f"control: {notes[name]}")
     return scores
 
 
@@ -77,14 +79,14 @@ def odometry_table(run: Run, scores: Scores) -> pd.DataFrame:
         Besides the paper's columns `snippet_ate_mean_SS` and `snippet_ate_std_SS` (over the snippets of sequence SS, metres): true RMSE
         of the snippets, errors of the whole trajectory aligned with 7dof, `n_SS` snippets, and standard deviations over seeds.
     """
-    rows = []
+    rows, train = [], [] if run.profile.world else [f"sequences {' '.join(run.profile.odometry_sequences()[0])}"]
     for length in LENGTHS:
+        cut = f"snippets of {length} frames, {'each from one output of PoseNet' if length == 3 else 'cut from the trajectory'}"
         for name, method in _methods(run).items():
-            row = {"method": method, "frames": length}
-            if name in scores.missing:
-                rows.append(row | not_run(scores.missing[name]))
-            else:
-                rows.append(row | _numbers(run, scores, name, length) | _words(run, scores, name, length))
+            row = method_row(scores, name, (), note="" if name in CONTROLS else ", ".join([*train, cut]))
+            rows.append(
+                {"method": method, "frames": length, **row, **({} if name in scores.missing else _numbers(run, scores, name, length))}
+            )
     return with_paper("odometry", rows)
 
 
@@ -102,17 +104,6 @@ def _numbers(run: Run, scores: Scores, name: str, length: int) -> dict[str, Any]
     return row | {"n": sum(row[f"n_{sequence}"] for sequence in names(run))}
 
 
-def _words(run: Run, scores: Scores, name: str, length: int) -> dict[str, Any]:
-    if name in CONTROLS:
-        mean = f"the mean step of sequences {' '.join(known_sequences(run))}, never turning"
-        meant = {"constant": mean, "straight": "a metre a frame along the optical axis", "inverted": "a mistake that snippets hardly see"}
-        return {"source": MEASURED, "note": f"control: {meant[name]}"}
-    cut = "each from one output of PoseNet" if length == 3 else "cut from the trajectory"
-    train = [] if run.profile.world else [f"sequences {' '.join(run.profile.odometry_sequences()[0])}"]
-    row = training_row(scores, name, (), note=", ".join([*train, f"snippets of {length} frames, {cut}"]))
-    return {key: value for key, value in row.items() if key != "n"}
-
-
 def trajectory_table(run: Run, scores: Scores) -> pd.DataFrame:
     """Errors of the whole trajectories for every alignment: rows per method, sequence and alignment, means and spread over seeds."""
     rows = []
@@ -125,9 +116,8 @@ def trajectory_table(run: Run, scores: Scores) -> pd.DataFrame:
                 frame = scores.of(name, f"{sequence}, {how}")
                 segments = int(frame["segments"].iloc[0])
                 row = {"method": method, "sequence": sequence, "align": how, **over_seeds(frame, TRAJECTORY)}
-                trained = training_row(scores, name, ()) if name not in CONTROLS else {"source": MEASURED}
                 note = "" if segments else "no segment of 100 m: the path is too short"
-                rows.append(row | trained | {"segments": segments, "note": note})
+                rows.append(row | method_row(scores, name, ()) | {"segments": segments, "note": note})
     columns = ["method", "sequence", "align", *TRAJECTORY, "segments", "seeds", "source", "note", "reason", "leak"]
     return pd.DataFrame(rows).reindex(columns=[*columns, *(f"{m}_std" for m in TRAJECTORY)])
 

@@ -10,7 +10,7 @@ from dualdepth import paper
 from dualdepth.evaluation.depth import METRICS
 from dualdepth.evaluation.leaks import check_leak
 from dualdepth.evaluation.statistics import Comparison, compare
-from dualdepth.tables.scores import Scores
+from dualdepth.tables.scores import SEEDLESS, Scores
 
 PAPER, MEASURED, NOT_RUN = "paper", "measured", "not run"
 """Values of the column `source`."""
@@ -37,21 +37,24 @@ def not_run(reason: str) -> dict[str, Any]:
     return {"source": NOT_RUN, "reason": reason}
 
 
-def training_row(scores: Scores, variant: str, metrics: Iterable[str] = METRICS, part: str | None = None, note: str = "") -> dict[str, Any]:
-    """A variant's row: means over its seeds, what its training was (`note`, with more behind it), and a leak; or why there is none."""
-    if variant in scores.missing:
-        return {"variant": variant, **not_run(scores.missing[variant])}
-    trainings, values = scores.trainings[variant], over_seeds(scores.of(variant, part), metrics)
-    said = {
-        "note": ", ".join(filter(None, [trainings[0].describe(), note])),
-        "leak": check_leak(trainings[0].card, scores.drives, allow=True),
-    }
-    return {"variant": variant, **values, "seeds": seed_label(t.seed for t in trainings), "source": MEASURED, **said}
+def method_row(scores: Scores, method: str, metrics: Iterable[str] = METRICS, part: str | None = None, note: str = "") -> dict[str, Any]:
+    """Row of a training, or of another method: means over its seeds, what it is (with `note` behind it), a leak; or why there is none.
+
+    Column `variant` names trainings alone.
+    """
+    trainings = scores.trainings.get(method)
+    variant = {"variant": method} if trainings or method not in scores.notes else {}
+    if method in scores.missing:
+        return variant | not_run(scores.missing[method])
+    frame = scores.of(method, part)
+    said = {"note": ", ".join(filter(None, [trainings[0].describe() if trainings else scores.notes[method], note]))}
+    said["leak"] = check_leak(trainings[0].card, scores.drives, allow=True) if trainings else ""
+    return variant | over_seeds(frame, metrics) | {"seeds": seed_label(frame.index.unique("seed")), "source": MEASURED} | said
 
 
 def seed_label(seeds: Iterable[int]) -> str:
     """Seeds as a table has them."""
-    return " ".join(map(str, seeds))
+    return " ".join(str(seed) for seed in seeds if seed != SEEDLESS)
 
 
 def with_paper(name: str, rows: Sequence[dict[str, Any]]) -> pd.DataFrame:

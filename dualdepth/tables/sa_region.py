@@ -13,7 +13,7 @@ from dualdepth.evaluation.depth import METRICS
 from dualdepth.evaluation.regions import REGIONS, in_regions
 from dualdepth.files import file_digest
 from dualdepth.run import Run, Sources
-from dualdepth.tables.rows import comparisons, gains, paired, seed_label, training_row, with_paper
+from dualdepth.tables.rows import comparisons, gains, method_row, paired, seed_label, with_paper
 from dualdepth.tables.scores import Scores, Trained, collect, scored
 
 METHODS = {"dual_no_sa": "w/o SA", "dual": "w/ SA"}
@@ -70,7 +70,7 @@ def region_table(run: Run, scores: Scores) -> pd.DataFrame:
     rows, images = [], len(scored(run).frames)
     for region in REGIONS:
         for variant, method in METHODS.items():
-            row = training_row(scores, variant, part=region, note=scored(run).note)
+            row = method_row(scores, variant, part=region, note=scored(run).note)
             if "note" in row:
                 found = (
                     "" if row["n"] == images else f"{row['n']} of {images} images; the others have fewer than 1 valid pixel of the region"

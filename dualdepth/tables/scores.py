@@ -2,8 +2,9 @@
 
 import functools
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -214,6 +215,10 @@ def untrained_net(run: Run, seed: int) -> DepthModel:
     return DepthModel(card, architecture.build(training.pretrained), device=default_device(), precision="float32")
 
 
+SEEDLESS = -1
+"""Stands for the seed of a method that knows none, such as a baseline."""
+
+
 class Scores(NamedTuple):
     """Scores of several methods in one long frame, and why others have none."""
 
@@ -225,16 +230,20 @@ class Scores(NamedTuple):
     """Of each variant without scores: the reason."""
     drives: Sequence[str] = ()
     """Drives of the frames that are scored."""
+    notes: Mapping[str, str] = MappingProxyType({})
+    """Of each method that is no training: what it is."""
 
     def of(self, variant: str, part: str | None = None) -> pd.DataFrame:
         """The rows (seed, image) of a variant, of one part of the images where they have parts; images without that part have no row."""
         frame = self.frame.loc[variant]
         return frame if part is None else frame[frame.index.get_level_values("part") == part].droplevel("part")
 
-    def plus(self, name: str, frame: pd.DataFrame) -> "Scores":
-        """With the scores, by image, of a method that knows no seed."""
-        longer = pd.concat([self.frame, pd.concat({(name, 0): frame}, names=["variant", "seed"])])
-        return self._replace(frame=longer)
+    def plus(self, name: str, frames: dict[int, pd.DataFrame] | None, note: str) -> "Scores":
+        """With another method: its scores by seed, or under `SEEDLESS`, and what it is; None where it has none, and `note` says why."""
+        if frames is None:
+            return self._replace(missing=self.missing | {name: note})
+        more = pd.concat({(name, seed): frame for seed, frame in frames.items()}, names=["variant", "seed"])
+        return self._replace(frame=pd.concat([self.frame, more]), notes={**self.notes, name: note})
 
 
 def collect(

@@ -12,7 +12,7 @@ from dualdepth.evaluation.depth import METRICS, resize_bilinear
 from dualdepth.evaluation.regions import POLE, class_errors
 from dualdepth.evaluation.sharpness import boundary_scores, tenengrad
 from dualdepth.run import Run
-from dualdepth.tables.rows import MEASURED, comparisons, not_run, over_seeds, paired, training_row, with_paper
+from dualdepth.tables.rows import MEASURED, comparisons, method_row, not_run, over_seeds, paired, with_paper
 from dualdepth.tables.scores import NO_TRUTH, Scores, Trained, collect, scored
 
 METHODS = {"lr": "w/o HR-Net", "dual": "w/ HR-Net"}
@@ -74,7 +74,7 @@ def _measured_rows(scores: Scores) -> list[dict[str, Any]]:
                 row = {"method": method, **dict(zip(READING, reading)), "tenengrad": totals.mean(), "tenengrad_std": totals.std()}
                 if variant == "dual":
                     row |= {"ratio": ratios[reading].mean(), "ratio_std": ratios[reading].std()}
-                rows.append(row | training_row(scores, variant, ()))
+                rows.append(row | method_row(scores, variant, ()))
     return rows
 
 
@@ -117,8 +117,8 @@ def detail_table(run: Run, boundaries: Scores, poles: Scores) -> pd.DataFrame:
     """Boundaries and poles of each network against exact depth, and what its size could reach; rows say why where there is none."""
     rows = []
     for variant in DETAILED:
-        row = {"method": run.profile.variant(variant).label, **training_row(boundaries, variant, BOUNDARY_COLUMNS)}
-        of_poles = training_row(poles, variant, ("abs_rel", "a1"))
+        row = {"method": run.profile.variant(variant).label, **method_row(boundaries, variant, BOUNDARY_COLUMNS)}
+        of_poles = method_row(poles, variant, ("abs_rel", "a1"))
         rows.append(row | {f"pole_{k}": of_poles[k] for k in ("abs_rel", "abs_rel_std", "a1", "a1_std", "n") if k in of_poles})
     sizes = (run.profile.data.lr_size, run.profile.data.hr_size)
     for size in sizes if run.profile.world else ():

@@ -9,7 +9,8 @@ from dualdepth import paper
 from dualdepth.evaluation.depth import METRICS
 from dualdepth.tables import main
 from dualdepth.tables.main import BASELINES, main_claims, main_scores, main_table
-from dualdepth.tables.scores import Scored
+from dualdepth.tables.rows import paired
+from dualdepth.tables.scores import SEEDLESS, Scored
 
 VALUES = {"lr": 0.2, "dual": 0.1, "untrained": 0.6, "constant": 0.5, "row_mean": 0.4, "mean_map": 0.3}
 
@@ -19,10 +20,12 @@ def run(make_run, make_scores, give, monkeypatch):
     """A run of `tiny` whose scores are given."""
     give(lambda variant, seed: make_scores(VALUES[variant] + 0.02 * seed))
     monkeypatch.setattr(main, "untrained_net", lambda run, seed: SimpleNamespace(disparities=lambda paths: seed))
-    monkeypatch.setattr(main, "baseline_depths", lambda run, name: 0)
+    monkeypatch.setattr(main, "baseline_depths", lambda run, name: ([0], "fitted"))
     monkeypatch.setattr(Scored, "paths", [])
     monkeypatch.setattr(Scored, "truth", [])
-    monkeypatch.setattr(main, "evaluate", lambda seed, _, *, name, **__: make_scores(VALUES[name] + 0.02 * seed))
+    monkeypatch.setattr(
+        main, "evaluate", lambda seed, _, *, name, **__: make_scores(VALUES[name] + (0.02 * seed if name == "untrained" else 0))
+    )
     return make_run()
 
 
@@ -54,12 +57,10 @@ def test_the_data_set_and_the_number_of_images_are_named(run, check_paper_rows):
 
 
 def test_baselines_say_what_they_were_fitted_on_and_keep_their_rows_where_they_cannot_be(run, monkeypatch):
-    assert ours(run, [0]).loc["Train set mean", "note"] == "fitted on the scored frames of all other drives"
-    (run.prepared / "baseline_truth.npz").touch()
-    assert ours(run, [0]).loc["Train set mean", "note"] == "fitted on training-side laser frames"
-    monkeypatch.setattr(main, "baseline_depths", lambda run, name: None)
+    assert ours(run, [0]).loc["Train set mean", "note"] == "fitted"
+    monkeypatch.setattr(main, "baseline_depths", lambda run, name: (None, "why not"))
     rows = ours(run, [0]).loc[list(BASELINES.values())]
-    assert rows["abs_rel"].isna().all() and rows["source"].eq("not run").all() and rows["reason"].str.contains("one drive").all()
+    assert rows["abs_rel"].isna().all() and rows["source"].eq("not run").all() and rows["reason"].eq("why not").all()
 
 
 def test_real_frames_an_incomplete_list_and_what_is_not_trained_are_named(run, make_run):
@@ -83,6 +84,6 @@ def test_the_difference_to_a_baseline_is_paired(run, make_scores):
     assert row["spread"] == pytest.approx(0.02 / np.sqrt(2))
     other = make_scores(0.21)
     other["abs_rel"] = other["abs_rel"].to_numpy()[::-1]
-    scores = scores._replace(frame=scores.frame.drop("constant")).plus("constant", other)
-    row = main_claims(scores).set_index(["a", "b", "metric"]).loc[("lr", "constant", "abs_rel")]
+    scores = scores.plus("other", {SEEDLESS: other}, "")
+    row = paired(scores, "lr", "other")[0]
     assert row["low"] < 0 < row["high"]

@@ -187,14 +187,14 @@ def test_whatever_shapes_the_scores_makes_them_anew(run, tmp_path, monkeypatch, 
 
 def test_examples_show_the_band_with_depth_in_metres_where_it_is_scored(run, tmp_path):
     examples = make3d_examples(trained(run, "dual", 0), count=2, size=(21, 305))
-    assert examples.titles == ["img-0.jpg", "img-2.jpg"]
+    assert examples[3] == ["img-0.jpg", "img-2.jpg"]
     for number, image, truth, prediction in zip((0, 2), *examples[:3]):
         assert image.shape == (21, 305, 3) and round(image.mean() / 40) == number
         np.testing.assert_array_equal(truth, grid(number)[ROWS])
         np.testing.assert_allclose(prediction, truth * np.where(np.arange(305) >= 244, 1.2, 1))
     enlarged = make3d_examples(trained(run, "dual", 0), count=2, size=(42, 610))
     assert {values.shape[:2] for part in enlarged[:3] for values in part} == {(42, 610)}
-    np.testing.assert_array_equal(enlarged.truths[1][1::2, 1::2], grid(2)[ROWS])
+    np.testing.assert_array_equal(enlarged[1][1][1::2, 1::2], grid(2)[ROWS])
     write_grid(tmp_path / "photos", 0, np.where(np.arange(305) < 100, 70, 5))  # cells at 70 m are not scored
-    truth = make3d_examples(trained(run, "dual", 0), count=1, size=(21, 305)).truths[0]
+    truth = make3d_examples(trained(run, "dual", 0), count=1, size=(21, 305))[1][0]
     assert (truth[:, :100] == 0).all() and (truth[:, 100:] == 5).all()

@@ -13,8 +13,8 @@ from dualdepth.evaluation.statistics import Comparison
 from dualdepth.run import project_root
 from dualdepth.tables import rows as rows_module
 from dualdepth.tables import scores as scores_module
-from dualdepth.tables.rows import COMPARISON, compared, comparisons, in_words, over_seeds, paired, readable, tell, training_row
-from dualdepth.tables.scores import Scores, Trained, collect
+from dualdepth.tables.rows import COMPARISON, compared, comparisons, in_words, method_row, over_seeds, paired, readable, tell
+from dualdepth.tables.scores import SEEDLESS, Scores, Trained, collect
 from dualdepth.training.weights import load_card
 
 KITTI = "about: x\ndata:\n  source: kitti\n  train_list: eigen_zhou\n"
@@ -43,7 +43,7 @@ def test_a_row_is_the_mean_over_images_then_over_seeds_with_its_spread(seeds, me
 
 def test_all_seven_metrics_are_in_a_trainings_row(make_run, make_scores, give):
     give(lambda variant, seed: make_scores({"dual": 0.2}[variant] + 0.1 * seed))
-    row = training_row(collect(make_run(), ["dual"], [0, 2]), "dual", note="more")
+    row = method_row(collect(make_run(), ["dual"], [0, 2]), "dual", note="more")
     assert row["variant"] == "dual" and row["source"] == "measured" and row["leak"] == ""
     assert row["seeds"] == "0 2" and row["n"] == 6
     assert row["note"] == "resnet18, 192x576, no ImageNet weights, 100 steps, last epoch, more"
@@ -55,7 +55,7 @@ def test_all_seven_metrics_are_in_a_trainings_row(make_run, make_scores, give):
 def test_a_variant_that_is_not_trained_says_so_and_is_not_asked_for_scores(make_run, make_scores, give):
     give(lambda variant, seed: {"lr": make_scores(0.2)}[variant])
     scores = collect(make_run("own", text=KITTI + "train: {lr: }\n"), ["lr", "dual"], [0])
-    assert training_row(scores, "dual") == {"variant": "dual", "source": "not run", "reason": "profile own does not train dual"}
+    assert method_row(scores, "dual") == {"variant": "dual", "source": "not run", "reason": "profile own does not train dual"}
 
 
 @pytest.mark.parametrize(
@@ -90,10 +90,10 @@ def test_a_row_says_when_scored_drives_were_trained_on(make_run, make_scores, gi
     drive = "2011_09_26/2011_09_26_drive_0001_sync"
     cards["lr"] = {"drives": [drive, "another"]}
     scores = collect(make_run(), ["lr", "dual"], [0])
-    assert training_row(scores, "lr")["leak"] == f"LEAK: trained on {drive}" and training_row(scores, "dual")["leak"] == ""
+    assert method_row(scores, "lr")["leak"] == f"LEAK: trained on {drive}" and method_row(scores, "dual")["leak"] == ""
     # frames of another benchmark: its drives count
     scores = collect(make_run(), ["lr"], [0], reason="", drives=["another"])
-    assert training_row(scores, "lr")["leak"] == "LEAK: trained on another"
+    assert method_row(scores, "lr")["leak"] == "LEAK: trained on another"
 
 
 def test_a_comparison_is_paired_by_image_and_seed():
@@ -109,7 +109,7 @@ def test_a_comparison_is_paired_by_image_and_seed():
 
 
 def test_a_method_without_seeds_stands_against_every_seed():
-    scores = long({("dual", 0): frame([0.1, 0.2]), ("dual", 1): frame([0.3, 0.4])}).plus("constant", frame([0.5, 0.6]))
+    scores = long({("dual", 0): frame([0.1, 0.2]), ("dual", 1): frame([0.3, 0.4])}).plus("constant", {SEEDLESS: frame([0.5, 0.6])}, "")
     (row,) = paired(scores, "dual", "constant", ["abs_rel"])
     assert [row["mean_a"], row["mean_b"], row["spread"]] == pytest.approx([0.25, 0.55, 0.2 / 2**0.5]) and row["seeds"] == 2
 
@@ -207,7 +207,7 @@ def test_the_table_that_contributing_shows_is_made(make_run, give_maps, capsys):
     give_maps(lambda variant, seed: 1 / (truth * (wrong if variant == "dual" else wrong**2)), list(truth))
     page = (project_root() / "CONTRIBUTING.md").read_text()
     code = next(block for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "def thirds" in block)
-    names = {name: getattr(rows_module, name) for name in ("training_row", "tell", "comparisons", "paired")}
+    names = {name: getattr(rows_module, name) for name in ("method_row", "tell", "comparisons", "paired")}
     shown = []
     exec(code, names | {"run": make_run(frames=3), "seeds": [0], "collect": collect, "pd": pd, "show": shown.append})
     table = shown[0].set_index(["third", "variant"])["abs_rel"]
