@@ -67,7 +67,7 @@ def unpack(
             members that point outside of `folder`.
         InputError: the disk has no room for what the archive announces, or cannot be written.
     """
-    archive, folder = Path(archive), Path(folder)
+    archive, folder, bar = Path(archive), Path(folder), bar if bar is not None else tqdm(disable=True)
     staging = folder / f".{archive.name}.unpacking"
     try:
         limit = limit or max(MOST_OF_SMALL, SWELLING * archive.stat().st_size)
@@ -76,8 +76,7 @@ def unpack(
         targets = [(_target(member, archive, place), member[1]) for member in members(archive, limit)]
         kept = [size for target, size in targets if target is not None]
         require_space(folder, sum(kept), f"unpacking {archive.name}")
-        if bar is not None:
-            bar.reset(sum(size for _, size in targets))
+        bar.reset(sum(size for _, size in targets))
         shutil.rmtree(staging, ignore_errors=True)  # one may be left of a killed run
         staging.mkdir(parents=True)
         for (*_, opened), (target, _) in zip(members(archive, limit), targets):
@@ -134,12 +133,11 @@ def _target(member: Member, archive: Path, place: Callable[[str], str | None]) -
     return target
 
 
-def _write(opened: Callable[[], IO[bytes]], target: Path | None, bar: tqdm | None) -> None:
+def _write(opened: Callable[[], IO[bytes]], target: Path | None, bar: tqdm) -> None:
     """Read a member to its end, which in a zip verifies its CRC and never yields more than it announces; write it if it has a target."""
     if target is not None:
         target.parent.mkdir(parents=True, exist_ok=True)
     with opened() as source, open(target or os.devnull, "wb") as sink:
         while chunk := source.read(CHUNK):
             sink.write(chunk)
-            if bar is not None:
-                bar.update(len(chunk))
+            bar.update(len(chunk))

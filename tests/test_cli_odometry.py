@@ -1,6 +1,7 @@
 """`dualdepth evaluate odometry` from outside: numbers, JSON, what cannot be measured, and one line for every mistake."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -60,9 +61,16 @@ def test_defaults_are_the_first_choices(files, capsys):
     assert values_of(capsys) != values_of(capsys, "--snippet", "5") and values_of(capsys) != values_of(capsys, "--align", "6dof")
 
 
+def write_numbered(path, poses, frames):
+    """A pose file whose lines begin with the frame's number."""
+    write_trajectory(path, poses)
+    lines = Path(path).read_text().splitlines()
+    Path(path).write_text("".join(f"{frame} {line}\n" for frame, line in zip(frames, lines, strict=True)))
+
+
 def test_frame_numbers_pair_the_poses_and_no_snippet_crosses_a_gap(files, capsys):
     frames = np.array([2, 3, 4, 5, 8, 9, 10, 200])
-    write_trajectory("part.txt", read_trajectory("gt.txt").poses[frames], frames)
+    write_numbered("part.txt", read_trajectory("gt.txt").poses[frames], frames)
     values, _ = values_of(capsys, "--align", "none", pred="part.txt")
     assert values.pop("n") == 3
     assert [v for v in values.values() if v is not None] == pytest.approx([0] * 5, abs=1e-5)  # the truth scores zero
@@ -81,7 +89,7 @@ def test_what_cannot_be_measured_is_null_and_said_in_words(files, capsys):
 def test_frames_without_neighbours_have_no_steps_and_no_snippets(files, capsys):
     frames, truth = np.arange(0, 300, 10), arc(300, 0.01, 1.005)  # 100 frames exceed 100 m, so both ends are there
     write_trajectory("gt.txt", truth)
-    write_trajectory("sparse.txt", truth[frames], frames)
+    write_numbered("sparse.txt", truth[frames], frames)
     values, notes = values_of(capsys, pred="sparse.txt")
     assert [name for name in NAMES if values[name] is None] == ["rpe_t", "rpe_r", "snippet_ate_mean", "snippet_ate_std"]
     assert values["n"] == 0
@@ -92,9 +100,9 @@ def test_frames_without_neighbours_have_no_steps_and_no_snippets(files, capsys):
 def test_files_that_do_not_fit_are_named(files, refused):
     write_trajectory("short.txt", arc(50, 0.01, 1.0))
     assert "short.txt has 50 poses but gt.txt has 300" in refused(run, pred="short.txt")
-    write_trajectory("later.txt", arc(5, 0.01, 1.0), np.arange(300, 305))
+    write_numbered("later.txt", arc(5, 0.01, 1.0), range(300, 305))
     assert "later.txt has frames 300 to 304 and gt.txt 0 to 299: none in common" in refused(run, pred="later.txt")
-    write_trajectory("one.txt", arc(2, 0.01, 1.0), np.array([299, 300]))
+    write_numbered("one.txt", arc(2, 0.01, 1.0), [299, 300])
     assert "one.txt and gt.txt have only frame 299 in common" in refused(run, pred="one.txt")
 
 

@@ -1,6 +1,5 @@
 """What the world consists of: every drive, sequence and photo of the settings, as shots to render and texts to write."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -132,10 +131,3 @@ def _photos(world: World, work: Work) -> None:
         name = f"mini-p-{k:03d}t000"
         photo, grid = work.root / "make3d/Test134" / f"img-{name}.jpg", work.root / "make3d/Gridlaserdata" / f"depth_sph_corr-{name}.mat"
         work.shots.append(Shot(plan, pose, 0.0, matrix, world.make3d_size, world.supersample, photo, grid=grid))
-
-
-def folders(work: Work) -> Iterator[Path]:
-    """Every folder that files go to."""
-    files = [work.root / name for name in work.texts]
-    files += [path for shot in work.shots for path in (shot.image, shot.depth, shot.labels, shot.scan, shot.grid) if path]
-    yield from {path.parent for path in files}

@@ -33,17 +33,16 @@ def test_frames_that_are_wanted_are_those_of_the_whole_video(clip):
 def test_what_is_no_video_is_named(tmp_path, content, capfd):
     path = tmp_path / "x.mp4"
     path.write_bytes(content)
-    with pytest.raises(InputError, match=r"x\.mp4: no video that can be decoded, or one without frames"):
+    with pytest.raises(InputError, match=r"x\.mp4: no video that can be decoded"):
         Video(path)
     assert capfd.readouterr() == ("", "")
 
 
 @pytest.mark.parametrize("share", [0.05, 0.3, 0.6, 0.95])
 def test_damaged_videos_end_or_are_refused(clip, tmp_path, share):
-    data = bytearray(clip.read_bytes())
+    data, path = bytearray(clip.read_bytes()), tmp_path / "damaged.avi"
     place = int(share * len(data))
     data[place : place + 200] = bytes(200)
-    path = tmp_path / "damaged.avi"
     path.write_bytes(data)
     try:
         assert sum(1 for _ in Video(path).frames()) <= 13
@@ -89,38 +88,24 @@ def test_a_video_gives_the_frames_that_were_written(tmp_path):
 
 def test_a_video_that_ends_early_is_refused_when_its_end_is_reached(clip, tmp_path):
     (tmp_path / "cut.avi").write_bytes(clip.read_bytes()[: clip.stat().st_size // 2])
-    with pytest.raises(InputError, match=r"cut\.avi: ends early: \d of 12 announced frames could be read; copy it again, or keep"):
+    with pytest.raises(InputError, match=r"cut\.avi: ends early: \d of 12 announced frames could be read"):
         list(Footage(tmp_path / "cut.avi").stills())
     assert numbers(Footage(clip)) == list(range(12))
 
 
-def test_the_digest_follows_the_bytes(tmp_path):
+def test_the_digest_follows_the_bytes_and_a_frame_of_another_size_is_named(tmp_path):
     folder = write_frames(tmp_path / "f", [frame(0), frame(1)])
     before = Footage(folder).digest()
     assert Footage(folder).digest() == before
-    write_frames(folder, [frame(0), frame(1.5)])
+    write_frames(folder, [frame(0), frame(1.5), frame(2, size=(100, 120))])
     assert Footage(folder).digest() != before
-
-
-def test_a_frame_of_another_size_is_named_with_both_sizes(tmp_path):
-    folder = write_frames(tmp_path / "f", [frame(0), frame(1), frame(2, size=(100, 120))])
     with pytest.raises(InputError, match=r"000002\.png: frame 2 has 120×100 pixels, the first one 256×216"):
         list(Footage(folder).stills())
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "said"),
-    [
-        ("nothing", None, "there is no such file or folder"),
-        ("empty", "folder", "holds no images"),
-        ("photo.png", b"", "is a single image"),
-    ],
-)
-def test_what_is_no_footage_is_named_with_what_to_do(tmp_path, name, content, said):
-    path = tmp_path / name
-    if content == "folder":
-        path.mkdir()
-    elif content is not None:
-        path.write_bytes(content)
-    with pytest.raises(InputError, match=f"{name}: .*{said}"):
-        Footage(path)
+@pytest.mark.parametrize("name", ["nothing", "empty", "photo.png"])
+def test_what_is_no_footage_is_named_with_what_to_do(tmp_path, name):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "photo.png").touch()
+    with pytest.raises(InputError, match=f"{name}: .*; give"):
+        Footage(tmp_path / name)

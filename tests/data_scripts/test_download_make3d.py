@@ -56,10 +56,7 @@ def test_both_archives_are_laid_out_as_make3d_root_however_they_nest(server, tmp
     assert run(server, tmp_path) == 0
     expected = [f"Gridlaserdata/depth_sph_corr-{name}.mat" for name in NAMES] + [f"Test134/img-{name}.jpg" for name in NAMES]
     assert files(tmp_path) == sorted([*expected, "Gridlaserdata/.complete.json", "Test134/.complete.json"])
-    assert [pair.name for pair in find_pairs(tmp_path)] == list(NAMES)
-    said = capsys.readouterr().out
-    assert "2 archives: 1.5 MB to download, at most 1.9 MB when unpacked" in said and f"MAKE3D_ROOT={tmp_path}" in said
-    assert "3 photos with their grids, 2 of 2 archives unpacked now" in said
+    assert [pair.name for pair in find_pairs(tmp_path)] == list(NAMES) and f"MAKE3D_ROOT={tmp_path}" in capsys.readouterr().out
     server.requests.clear()
     assert run(server, tmp_path) == 0 and server.requests == []
 
@@ -70,7 +67,6 @@ def test_the_marker_says_what_came(server, tmp_path):
     marker = json.loads((tmp_path / "Test134" / ".complete.json").read_text())
     assert marker["sha256"] == hashlib.sha256(server.files[PHOTOS]).hexdigest()
     assert marker["files"] == 3 and marker["truncated"] == ["img-b-p-002t000.jpg"]
-    assert json.loads((tmp_path / "Gridlaserdata" / ".complete.json").read_text())["truncated"] == []
 
 
 BAD = {

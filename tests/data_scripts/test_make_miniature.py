@@ -1,5 +1,6 @@
 """The written world: KITTI's layout and formats read by the readers of real KITTI, the same bytes twice, made once."""
 
+import functools
 import json
 import shutil
 
@@ -43,16 +44,21 @@ LEAST = World(
 
 
 @pytest.fixture(scope="module")
-def root(tmp_path_factory):
+def make():
+    return functools.partial(make_miniature.make_world, progress=False, processes=1)
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory, make):
     out = tmp_path_factory.mktemp("world") / "miniature"
-    assert make_miniature.make_world(WORLD, out, progress=False, processes=1)
+    assert make(WORLD, out)
     return out
 
 
 @pytest.fixture(scope="module")
-def least(tmp_path_factory):
+def least(tmp_path_factory, make):
     out = tmp_path_factory.mktemp("least") / "miniature"
-    make_miniature.make_world(LEAST, out, progress=False, processes=1)
+    make(LEAST, out)
     return out
 
 
@@ -171,13 +177,13 @@ def test_training_drives_show_the_turns_of_the_sequences_that_are_scored(tmp_pat
     assert np.percentile(np.abs(np.concatenate(train)), 95) >= np.percentile(np.abs(np.concatenate(scored)), 95)
 
 
-def test_same_settings_give_the_same_bytes_also_in_several_processes(least, tmp_path):
-    make_miniature.make_world(LEAST, tmp_path / "again", progress=False, processes=2)
+def test_same_settings_give_the_same_bytes_also_in_several_processes(least, tmp_path, make):
+    make(LEAST, tmp_path / "again", processes=2)
     assert contents(tmp_path / "again") == contents(least)
 
 
-def test_other_seeds_give_other_streets_on_their_side_only(least, tmp_path):
-    make_miniature.make_world(LEAST.model_copy(update={"test_seed": 7}), tmp_path / "other", progress=False, processes=1)
+def test_other_seeds_give_other_streets_on_their_side_only(least, tmp_path, make):
+    make(LEAST.model_copy(update={"test_seed": 7}), tmp_path / "other")
     one, other = contents(least), contents(tmp_path / "other")
     assert one.keys() == other.keys()
     changed = {name for name in one if one[name] != other[name]}
@@ -186,41 +192,27 @@ def test_other_seeds_give_other_streets_on_their_side_only(least, tmp_path):
     assert not {name for name in pictures if "_drive_00" in name} & changed
 
 
-def test_world_that_is_there_is_not_made_again_and_another_one_is_replaced(least, tmp_path, capsys):
+def test_a_world_that_is_there_is_not_made_again_and_another_one_is_replaced_or_stays_whole(least, tmp_path, monkeypatch, make, capsys):
     out = tmp_path / "w"
-    out.mkdir()
-    assert make_miniature.make_world(LEAST, out, progress=False, processes=1)
-    assert not make_miniature.make_world(LEAST, out, progress=False, processes=1)
-    assert "there already" in capsys.readouterr().out
+    shutil.copytree(least, out)
+    (tmp_path / ".w.part" / "rest").mkdir(parents=True)  # of a killed run
+    assert not make(LEAST, out) and "there already" in capsys.readouterr().out
     fewer = LEAST.model_copy(update={"make3d_images": 0})
-    assert make_miniature.make_world(fewer, out, progress=False, processes=1)
-    assert not list(out.rglob("*.mat"))
+    with monkeypatch.context() as patch, pytest.raises(ZeroDivisionError):
+        patch.setattr(make_miniature, "write_shot", lambda _: 1 / 0)
+        make(fewer, out)
+    assert contents(out) == contents(least)
+    with locked(tmp_path / ".w.lock"), pytest.raises(InputError, match="held by process"):
+        make(fewer, out)
+    assert make(fewer, out) and not list(out.rglob("*.mat"))
     assert json.loads((out / "world.json").read_text())["settings"]["make3d_images"] == 0
     assert {path.name for path in tmp_path.iterdir()} == {"w", ".w.lock"}
 
 
-def test_failure_leaves_the_old_world_and_nothing_half_written(least, tmp_path, monkeypatch):
-    out = tmp_path / "w"
-    (tmp_path / ".w.part" / "rest").mkdir(parents=True)  # of a killed run
-    shutil.copytree(least, out)
-    before = contents(out)
-
-    def fail(shot):
-        raise OSError("disk full")
-
-    monkeypatch.setattr(make_miniature, "write_shot", fail)
-    with pytest.raises(OSError, match="disk full"):
-        make_miniature.make_world(LEAST.model_copy(update={"make3d_images": 0}), out, progress=False, processes=1)
-    assert contents(out) == before
-    assert {path.name for path in tmp_path.iterdir()} == {"w", ".w.lock"}
-    with locked(tmp_path / ".w.lock"), pytest.raises(InputError, match="held by process"):
-        make_miniature.make_world(LEAST, out, progress=False, processes=1)
-
-
-def test_folder_with_something_else_is_refused_and_kept(tmp_path):
-    (tmp_path / "thesis.tex").write_text("years of work")
+def test_folder_with_something_else_is_refused_and_kept(tmp_path, make):
+    (tmp_path / "thesis.tex").touch()
     with pytest.raises(InputError, match="is no world"):
-        make_miniature.make_world(LEAST, tmp_path, progress=False, processes=1)
+        make(LEAST, tmp_path)
     assert (tmp_path / "thesis.tex").exists()
 
 
