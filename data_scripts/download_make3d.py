@@ -33,17 +33,12 @@ def check_content(archive: Archive, path: Path, folder: Path) -> dict[str, Any]:
     files = sorted(folder.iterdir())
     if len(files) != MAKE3D_PHOTOS:
         raise BadArchiveError(f"{path}: holds {len(files)} files {archive.pattern}, expected {MAKE3D_PHOTOS}")
-    truncated = []
-    for file in progress(iterable=files, desc=f"checking {archive.folder}", unit="file", leave=False):
-        try:
-            if file.suffix == ".mat":
-                read_grid(file)
-            else:
-                read_photo(file)
-                truncated += [file.name] * is_truncated(file)
-        except InputError as error:
-            raise BadArchiveError(str(error)) from None
-    return {"sha256": file_digest(path), "truncated": truncated}
+    try:
+        for file in progress(iterable=files, desc=f"checking {archive.folder}", unit="file", leave=False):
+            (read_grid if file.suffix == ".mat" else read_photo)(file)
+    except InputError as error:
+        raise BadArchiveError(str(error)) from None
+    return {"sha256": file_digest(path), "truncated": [file.name for file in files if is_truncated(file)]}
 
 
 def main(argv: Sequence[str] | None = None, *, home: str = MAKE3D_HOME) -> int:

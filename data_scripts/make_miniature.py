@@ -33,12 +33,11 @@ STAMP = "world.json"
 """Written last; says which settings and sources a folder was made from."""
 
 
-def make_world(world: World, out: str | Path, progress: bool = True, processes: int | None = None) -> bool:
+def make_world(world: World, out: str | Path, processes: int | None = None) -> bool:
     """Make a world in the folder `out`, unless it is there.
 
     Args:
         world, out: the settings, and the folder; a world in it that was made otherwise is replaced.
-        progress: whether to show a progress bar.
         processes: number of worker processes, None for one a core; 1 works in this one. The result is the same.
 
     Returns:
@@ -61,7 +60,7 @@ def make_world(world: World, out: str | Path, progress: bool = True, processes: 
             work = plan_world(world, partial)
             for name, text in work.texts.items():
                 write_text(partial / name, text)
-            _render(work.shots, progress, processes)
+            _render(work.shots, processes)
             write_json(partial / STAMP, stamp)
             if out.exists():
                 shutil.rmtree(out)
@@ -79,9 +78,9 @@ def world_digest(world: World) -> str:
     return digest.hexdigest()
 
 
-def _render(shots: list[Shot], progress: bool, processes: int | None) -> None:
+def _render(shots: list[Shot], processes: int | None) -> None:
     """Write all shots; neighbours go to the same process, which keeps their street."""
-    bar = functools.partial(tqdm, total=len(shots), desc="rendering the world", unit="frame", disable=not progress)
+    bar = functools.partial(tqdm, total=len(shots), desc="rendering the world", unit="frame")
     if processes == 1:
         for shot in bar(shots):
             write_shot(shot)

@@ -79,10 +79,10 @@ def make(
     return Made(out, out / f"{name}.yaml", said, kept=False)
 
 
-def _by_content(given: dict[str, Any]) -> dict[str, Any]:
-    """The camera's options; a file or chessboard counts by its content, so one that was moved is the same one."""
-    files = {"chessboard": given["chessboard"] and Footage(given["chessboard"]).digest()} if "chessboard" in given else {}
-    return given | files | {"intrinsics": file_digest(Path(given.get("intrinsics", ""))) or given.get("intrinsics", "")}
+def _by_content(given: dict[str, Any]) -> list[Any]:
+    """The camera's options, a file or chessboard by its content: one that was moved is the same one."""
+    board, numbers = given.get("chessboard"), given.get("intrinsics", "")
+    return [Footage(board).digest() if board else "", file_digest(Path(numbers)) or numbers, given.get("squares"), given.get("fov")]
 
 
 def write(
@@ -113,13 +113,10 @@ def write(
         for k, d in enumerate([*train, shown], 1)
     ]
     drives[-1]["held_out"] = True
-    return {
-        "camera": camera.record(),
-        **({"undistorted_to": used.record()} if straighten else {}),
-        **{"hr_size": list(hr_size), "triplets": triplets, "stride": film.stride, "frames": film.counts},
-        **{"median_motion": film.medians, "checks": {c: f"FAILED: {said}" if said else "passed" for c, said in film.checks.items()}},
-        "drives": drives,
-    }
+    found = {check: f"FAILED: {said}" if said else "passed" for check, said in film.checks.items()}
+    record = {"camera": camera.record()} | ({"undistorted_to": used.record()} if straighten else {})
+    record |= {"hr_size": list(hr_size), "triplets": triplets, "stride": film.stride, "frames": film.counts}
+    return record | {"median_motion": film.medians, "checks": found, "drives": drives}
 
 
 def camera_of(

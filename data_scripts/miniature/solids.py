@@ -52,7 +52,8 @@ class Quadric(NamedTuple):
     top: float
     corners: np.ndarray
     """(8, 3), of a box around it."""
-    surface: Surface
+    surfaces: list[Surface]
+    """The one that it has."""
 
 
 class Place(NamedTuple):
@@ -167,7 +168,7 @@ def ellipsoid(centre, radii, material: str, label: int, colour, seed: float) -> 
     """An ellipsoid with its axes along the world's; `centre` and `radii` as x, y, z."""
     centre, radii = np.asarray(centre, float), np.asarray(radii, float)
     surface = Surface(material, label, colour, seed, *np.zeros((4, 3)), (1.0, 1.0))
-    return Quadric(centre, radii, -np.inf, box_corners(centre, np.eye(3), radii), surface)
+    return Quadric(centre, radii, -np.inf, box_corners(centre, np.eye(3), radii), [surface])
 
 
 def cylinder(point, radius: float, height: float, material: str, label: int, colour, seed: float) -> Quadric:
@@ -175,4 +176,4 @@ def cylinder(point, radius: float, height: float, material: str, label: int, col
     centre = np.array([point[0], 0.0, point[1]])
     surface = Surface(material, label, colour, seed, *np.zeros((4, 3)), (1.0, 1.0))
     corners = box_corners(centre - [0, height / 2, 0], np.eye(3), np.array([radius, height / 2, radius]))
-    return Quadric(centre, np.array([radius, np.inf, radius]), -height, corners, surface)
+    return Quadric(centre, np.array([radius, np.inf, radius]), -height, corners, [surface])

@@ -53,11 +53,9 @@ def fitting_size(size: tuple[int, int]) -> tuple[int, int]:
     tall, wide = (range(192, int(max(192, 1.1 * side)) + 1, 96) for side in size)
     choices = [(h, w) for h in tall for w in wide if h * w <= PIXELS]
 
-    def squeezed(choice: tuple[int, int]) -> float:
-        return float(np.exp(abs(np.log(choice[1] / choice[0] * height / width))))
-
-    alike = [c for c in choices if squeezed(c) < 1.06]
-    return max(alike, key=lambda c: c[0] * c[1]) if alike else min(choices, key=squeezed)
+    squeezed = {c: abs(np.log(c[1] / c[0] * height / width)) for c in choices}
+    alike = [c for c in choices if squeezed[c] < np.log(1.06)]
+    return max(alike, key=np.prod) if alike else min(choices, key=squeezed.get)
 
 
 def write_frames(root: Path, footages: Sequence[Footage], drives: Sequence[Drive], straighten: Straighten | None) -> None:

@@ -32,24 +32,19 @@ def save_ground_truth(path: str | Path, maps: Iterable[np.ndarray], names: Itera
         Number of maps written.
 
     Raises:
-        InputError: a map is not two-dimensional, there is none, or the file cannot be written.
+        InputError: the file cannot be written.
     """
     path, count = Path(path), 0
     keys = iter(names) if names is not None else map("{:06d}".format, itertools.count())
     try:
-        with atomic_path(path) as partial:
-            with zipfile.ZipFile(partial, "w") as archive:
-                for depth in maps:
-                    if depth.ndim != 2:
-                        raise InputError(f"{path}: map {count} has shape {depth.shape}; expected (height, width)")
-                    # a fixed date keeps the bytes the same
-                    member = zipfile.ZipInfo(f"{next(keys)}.npy", (1980, 1, 1, 0, 0, 0))
-                    member.compress_type = zipfile.ZIP_DEFLATED
-                    with archive.open(member, "w", force_zip64=True) as file:
-                        np.lib.format.write_array(file, np.ascontiguousarray(depth, np.float32), allow_pickle=False)
-                    count += 1
-            if not count:
-                raise InputError(f"{path}: no depth maps to write")
+        with atomic_path(path) as partial, zipfile.ZipFile(partial, "w") as archive:
+            for depth in maps:
+                # a fixed date keeps the bytes the same
+                member = zipfile.ZipInfo(f"{next(keys)}.npy", (1980, 1, 1, 0, 0, 0))
+                member.compress_type = zipfile.ZIP_DEFLATED
+                with archive.open(member, "w", force_zip64=True) as file:
+                    np.lib.format.write_array(file, np.ascontiguousarray(depth, np.float32), allow_pickle=False)
+                count += 1
     except OSError as error:
         raise InputError(f"{path}: cannot write the ground truth ({error.strerror})") from None
     return count

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+import PIL.Image
 
 from dualdepth.errors import InputError, reading
 
@@ -153,8 +154,6 @@ def check_image(path: str | Path, data: np.ndarray | bytes) -> None:
     Raises:
         InputError: naming `path`, where the bytes are from.
     """
-    import PIL.Image
-
     with reading(path, AGAIN):
         try:
             with PIL.Image.open(io.BytesIO(data)) as image:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import PIL.Image
 
 from dualdepth.data.kitti import AGAIN, Frame, calibration_entry, image_path, read_calibration, velodyne_path, whole_image
 from dualdepth.errors import InputError, reading
@@ -121,8 +122,6 @@ def map_size(root: str | Path, frame: Frame) -> tuple[int, int]:
         if not (1 <= width <= LARGEST_SIDE and 1 <= height <= LARGEST_SIDE):
             raise InputError(f"{calibration}: {key} is {width:g} x {height:g}, which is no size of an image; {AGAIN}")
         return int(height), int(width)
-    import PIL.Image
-
     with reading(path, AGAIN), PIL.Image.open(path) as image:
         return image.height, image.width
 

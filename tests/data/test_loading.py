@@ -37,8 +37,7 @@ def batches(steps=range(0, 100), samples=10, batch_size=4, seed=0, **options):
 def test_a_sample_is_target_previous_next_in_rgb(kitti_root, tmp_path):
     plain = TripletDataset(triplets_of(kitti_root, tmp_path), (208, 208), Augmentation(max_scale=1.0), seed=0)
     sample = plain[0, 1]
-    assert sample["images"].shape == (3, 3, 208, 208)
-    assert sample["images"].dtype == torch.uint8
+    assert sample["images"].shape == (3, 3, 208, 208) and sample["images"].dtype == torch.uint8
     assert sample["name"] == f"{DRIVE}/image_02/0000000002"
     for image, number in zip(sample["images"], (2, 1, 3)):
         file = cv2.imread(str(kitti_root / DRIVE / "image_02/data" / f"{number:010d}.png"))  # BGR
@@ -111,11 +110,11 @@ def project(matrix, point):
     return np.array([u / w, v / w])
 
 
-def picture_of(point, size=RAW, matrix=K, spread=4.0):
+def picture_of(point):
     """A bright blob where the camera sees a 3-D point, on black."""
-    u, v = project(matrix, point)
-    rows, columns = np.mgrid[: size[0], : size[1]]
-    blob = 250 * np.exp(-((columns - u) ** 2 + (rows - v) ** 2) / (2 * spread**2))
+    u, v = project(K, point)
+    rows, columns = np.mgrid[: RAW[0], : RAW[1]]
+    blob = 250 * np.exp(-((columns - u) ** 2 + (rows - v) ** 2) / 32)
     return np.repeat(np.rint(blob).astype(np.uint8)[..., None], 3, axis=2)
 
 
@@ -150,14 +149,11 @@ def test_crops_show_between_all_and_1_over_max_scale_of_the_frame_in_each_direct
     rng = np.random.default_rng(0)
     crops = [draw_crop((375, 1242), Augmentation(max_scale=1.15), rng) for _ in range(300)]
     widths, heights = np.array([c.width for c in crops]), np.array([c.height for c in crops])
-    assert 1242 / 1.15 - 0.5 <= widths.min() < 1242 / 1.14
-    assert 1242 / 1.01 < widths.max() <= 1242
-    assert 375 / 1.15 - 0.5 <= heights.min() < 375 / 1.14
-    assert 375 / 1.01 < heights.max() <= 375
+    for shown, side in ((widths, 1242), (heights, 375)):
+        assert side / 1.15 - 0.5 <= shown.min() < side / 1.14 and side / 1.01 < shown.max() <= side
     assert abs(np.corrcoef(widths, heights)[0, 1]) < 0.2  # x and y are drawn independently
     assert all(0 <= c.left <= 1242 - c.width and 0 <= c.top <= 375 - c.height for c in crops)
-    assert len({c.left for c in crops}) > 30
-    assert not any(c.flip for c in crops)
+    assert len({c.left for c in crops}) > 30 and not any(c.flip for c in crops)
 
 
 def test_without_enlargement_the_whole_frame_is_shown_and_a_triplet_through_one_crop():

@@ -10,7 +10,7 @@ import pytest
 
 from data_scripts import export_depth
 from dualdepth.data.depth_maps import load_ground_truth
-from dualdepth.data.kitti import read_frame_list
+from dualdepth.data.kitti import Frame, read_frame_list, velodyne_path
 from dualdepth.data.lidar import ground_truth, map_size
 
 SCRIPT = Path(export_depth.__file__)
@@ -18,18 +18,14 @@ DRIVE = "2011_09_26/2011_09_26_drive_0001_sync"
 
 
 @pytest.fixture
-def kitti(tmp_path, monkeypatch):
-    """A root with frames 0 to 3 of one drive, scans without images, and a list of them in the working directory."""
+def kitti(tmp_path, monkeypatch, kitti_factory):
+    """A root with frames 0 to 3 of one drive, and a list of them in the working directory."""
     monkeypatch.chdir(tmp_path)
-    root = tmp_path / "kitti"
-    scans = root / DRIVE / "velodyne_points" / "data"
-    scans.mkdir(parents=True)
-    rng = np.random.default_rng(0)
+    root, rng = kitti_factory({DRIVE: range(4)}), np.random.default_rng(0)
     for index in range(4):
-        (rng.uniform(-1, 1, (500, 4)) * [40, 20, 8, 1]).astype("<f4").tofile(scans / f"{index:010d}.bin")
-    day = root / "2011_09_26"
-    (day / "calib_velo_to_cam.txt").write_text("R: 0 -1 0 0 0 -1 1 0 0\nT: 0 0 -0.27\n")
-    (day / "calib_cam_to_cam.txt").write_text("S_rect_02: 80 40\nR_rect_00: 1 0 0 0 1 0 0 0 1\nP_rect_02: 40 0 40 0 0 40 20 0 0 0 1 0\n")
+        path = velodyne_path(root, Frame(DRIVE, index))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        (rng.uniform(-1, 1, (500, 4)) * [40, 20, 8, 1]).astype("<f4").tofile(path)
     write_list(range(4))
     return root
 

@@ -20,32 +20,24 @@ from dualdepth.files import locked
 from dualdepth.profile import load_profile
 from dualdepth.settings import World
 
-SETTINGS = {
-    "size": (48, 152),
-    "supersample": 2,
-    "train_drives": 2,
-    "frames_per_drive": 8,
-    "static_frames": 4,
-    "laser_train_frames": 2,
-    "azimuth_step": 1.0,
-    "test_drives": 1,
+SIZES = {"size": (48, 152), "frames_per_drive": 8, "static_frames": 4, "laser_train_frames": 2, "azimuth_step": 1.0, "test_drives": 1}
+SIZES |= {
     "test_frames": 2,
-    "odometry_train": 1,
-    "odometry_test": 1,
     "odometry_frames": 4,
     "odometry_spacing": 20.0,
+    "odometry_path": 251.0,
     "make3d_images": 1,
     "make3d_size": (140, 105),
 }
-WORLD = World(**SETTINGS)
-LEAST = World(
-    **SETTINGS | {"train_drives": 1, "frames_per_drive": 3, "static_frames": 2, "test_frames": 1, "odometry_train": 0, "odometry_test": 0}
+WORLD = load_profile("tiny").world.model_copy(update=SIZES | {"odometry_test": 1})
+LEAST = WORLD.model_copy(
+    update={"train_drives": 1, "frames_per_drive": 3, "static_frames": 2, "test_frames": 1, "odometry_train": 0, "odometry_test": 0}
 )
 
 
 @pytest.fixture(scope="module")
 def make():
-    return functools.partial(make_miniature.make_world, progress=False, processes=1)
+    return functools.partial(make_miniature.make_world, processes=1)
 
 
 @pytest.fixture(scope="module")
@@ -84,33 +76,20 @@ def test_lists_name_what_is_there_and_the_readers_of_kitti_read_it(root):
     assert len(list(raw.rglob("*.bin"))) == len(test) + len(laser)
 
 
-def test_laser_ground_truth_of_the_field_agrees_with_dense_depth(root):
-    for frame in kitti.read_frame_list(root / "lists" / "test_files.txt"):
-        sparse = ground_truth(root / "kitti_raw", frame)
-        dense = np.load(root / "dense_depth" / frame.drive.split("/")[1] / f"{frame.index:010d}.npy")
-        # The field's map is shifted by a pixel and holds laser-forward depth (docs/protocols.md): compare with the neighbours.
-        rows, columns = np.nonzero(sparse)
-        inside = (rows < WORLD.size[0] - 2) & (columns < WORLD.size[1] - 2)
-        rows, columns = rows[inside], columns[inside]
-        around = np.stack([dense[rows + i, columns + j] for i in (0, 1, 2) for j in (0, 1, 2)])
-        laser = sparse[rows, columns]
-        low, high = np.where(around > 0, around, np.inf).min(0), around.max(0)
-        assert rows.size > 300
-        assert ((laser > 0.94 * low - 0.4) & (laser < 1.06 * high + 0.4)).mean() > 0.95
-
-
-def test_every_test_frame_has_labels_and_depth_that_fit_together(root):
-    known = {0, 1, 2, 4, 5, 7, 8, 9, 10, 13}
+def test_every_test_frame_has_labels_depth_and_laser_ground_truth_that_fit_together(root):
     for frame in kitti.read_frame_list(root / "lists" / "test_files.txt"):
         drive = frame.drive.split("/")[1]
         labels = cv2.imread(str(root / "labels" / drive / f"{frame.index:010d}.png"), cv2.IMREAD_UNCHANGED)
-        depth = np.load(root / "dense_depth" / drive / f"{frame.index:010d}.npy")
-        assert labels.dtype == np.uint8
-        assert labels.shape == depth.shape == WORLD.size
-        assert set(np.unique(labels)) <= known
-        assert {0, 1, 8, 10} <= set(np.unique(labels))
-        assert ((labels == 10) == (depth == 0)).all()
-        assert (depth[labels == 0] < 400).all()
+        dense = np.load(root / "dense_depth" / drive / f"{frame.index:010d}.npy")
+        assert labels.dtype == np.uint8 and labels.shape == dense.shape == WORLD.size
+        assert {0, 1, 8, 10} <= set(np.unique(labels)) <= {0, 1, 2, 4, 5, 7, 8, 9, 10, 13}
+        assert ((labels == 10) == (dense == 0)).all() and (dense[labels == 0] < 400).all()
+        # The field's map is shifted by a pixel and holds laser-forward depth (docs/protocols.md): compare with the neighbours.
+        sparse = ground_truth(root / "kitti_raw", frame)[: WORLD.size[0] - 2, : WORLD.size[1] - 2]
+        rows, columns = np.nonzero(sparse)
+        around = np.stack([dense[rows + i, columns + j] for i in (0, 1, 2) for j in (0, 1, 2)])
+        low, high, laser = np.where(around > 0, around, np.inf).min(0), around.max(0), sparse[rows, columns]
+        assert rows.size > 300 and ((laser > 0.94 * low - 0.4) & (laser < 1.06 * high + 0.4)).mean() > 0.95
 
 
 def test_camera_stands_still_where_the_static_list_says_and_nowhere_else(root):
@@ -175,6 +154,25 @@ def test_training_drives_show_the_turns_of_the_sequences_that_are_scored(tmp_pat
     assert len(train) == 8 and len(scored) == 2
     assert np.mean([turns.std() for turns in train]) > 0.4
     assert np.percentile(np.abs(np.concatenate(train)), 95) >= np.percentile(np.abs(np.concatenate(scored)), 95)
+
+
+GOLDEN = {
+    "kitti_raw/2019_10_27/2019_10_27_drive_0001_sync/image_02/data/0000000000.png": (100.3159, 46.6250),
+    "kitti_raw/2019_10_27/2019_10_27_drive_0101_sync/image_02/data/0000000000.png": (99.9789, 51.1496),
+    "labels/2019_10_27_drive_0101_sync/0000000000.png": (4.1246, 4.4236),
+    "make3d/Test134/img-mini-p-000t000.jpg": (120.3350, 65.0760),
+}
+"""Mean and standard deviation of pictures, as they were when numbers of such worlds were published."""
+
+
+def test_the_world_is_still_the_one_that_the_published_numbers_are_of(least):
+    found = {name: kitti.read_image(least / name) for name in GOLDEN}
+    assert {name: (image.mean(), image.std()) for name, image in found.items()} == {
+        k: pytest.approx(v, abs=0.01) for k, v in GOLDEN.items()
+    }
+    assert np.load(least / "dense_depth/2019_10_27_drive_0101_sync/0000000000.npy").mean() == pytest.approx(21.9885, abs=1e-3)
+    scan = np.fromfile(least / "kitti_raw/2019_10_27/2019_10_27_drive_0101_sync/velodyne_points/data/0000000000.bin", "<f4").reshape(-1, 4)
+    assert len(scan) == 6047 and scan.mean(0) == pytest.approx([13.2925, 0.8576, -1.2287, 0.3209], abs=1e-3)
 
 
 def test_same_settings_give_the_same_bytes_also_in_several_processes(least, tmp_path, make):

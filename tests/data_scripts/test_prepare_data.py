@@ -97,28 +97,26 @@ def test_every_frame_is_decoded_once(project, monkeypatch):
     assert seen == Counter([*(image_of(kitti, TRAIN, k) for k in range(6)), image_of(kitti, TEST, 0), image_of(kitti, TEST, 2)])
 
 
-def spoil_cut(path):
-    cut(path)
-    return f"{path}: truncated"
-
-
 def spoil_size(path):
     cv2.imwrite(str(path), read_image(path)[:90, :100])
-    return f"{path}: has 100×90 pixels, most of its folder 208×208"
 
 
-def spoil_suffix(path):
-    path.rename(path.with_suffix(".jpg"))
-    return f"{path}: no such file"
+SPOILT = {
+    "truncated": cut,
+    "has 100×90 pixels, most of its folder 208×208": spoil_size,
+    "no such file": lambda path: path.rename(path.with_suffix(".jpg")),
+}
 
 
-@pytest.mark.parametrize("spoil", [spoil_cut, spoil_size, spoil_suffix])
-def test_triplets_of_broken_frames_are_left_out_and_all_such_frames_named_in_one_line(project, capsys, spoil):
+@pytest.mark.parametrize("why", SPOILT)
+def test_triplets_of_broken_frames_are_left_out_and_all_such_frames_named_in_one_line(project, capsys, why):
     run, kitti, _ = project
-    said = [spoil(image_of(kitti, TRAIN, index)) for index in (5, 3)]
+    spoilt = [image_of(kitti, TRAIN, index) for index in (5, 3)]
+    for path in spoilt:
+        SPOILT[why](path)
     assert prepared(project).triplets == 1
     told = [line for line in capsys.readouterr().out.splitlines() if "broken" in line]
-    assert len(told) == 1 and told[0].startswith("2 frames are broken") and all(words in told[0] for words in said)
+    assert len(told) == 1 and told[0].startswith("2 frames are broken") and all(f"{path}: {why}" in told[0] for path in spoilt)
     triplets, drives = training_data(run, "lr")  # what a training and its card go by
     assert [triplet.name[-10:] for triplet in triplets] == ["0000000001"] and drives == [TRAIN]
 
@@ -145,19 +143,18 @@ def test_frames_to_score_may_have_several_sizes_but_without_a_whole_triplet_noth
 
 @pytest.fixture
 def with_odometry(project, tmp_path):
-    """The project with odometry sequences, and what its profile says of them."""
+    """Makes a run of the project with odometry sequences, and the folder of these."""
     run, kitti, test_list = project
-    root = tmp_path / "odometry"
+    root, path = tmp_path / "odometry", tmp_path / "odo.yaml"
     write_sequence(root, "00", range(5))
     write_sequence(root, "09", range(3))
 
-    def make(train="['00']", test="['09']", trained="odometry_lr: ", allow_leak=False):
-        path = tmp_path / "odo.yaml"
-        data = f"{{source: kitti, train_drives: [{TRAIN}], test_list: {test_list}, odometry_train: {train}, odometry_test: {test}}}"
+    def make(test="['09']", trained="odometry_lr: ", allow_leak=False):
+        data = f"{{source: kitti, train_drives: [{TRAIN}], test_list: {test_list}, odometry_train: ['00'], odometry_test: {test}}}"
         path.write_text(f"about: a test\ndata: {data}\ntrain: {{lr: , {trained}}}\n")
-        run_ = Run(str(path), run.root)
-        prepare_data.find_data(run_, str(kitti), odometry_root=str(root), allow_leak=allow_leak)
-        return run_
+        made = Run(str(path), run.root)
+        prepare_data.find_data(made, str(kitti), odometry_root=str(root), allow_leak=allow_leak)
+        return made
 
     return make, root
 
