@@ -183,19 +183,20 @@ def checks(counts: dict[str, int], medians: dict[str, float], stride: int) -> di
     closer = f"{slower}take every frame of the video, film at more frames a second, or drive slower"
     if pairs := sum(counts[name] for name in LINKS):
         said = f"the camera stands still in {counts['still']} of {pairs} pairs of neighbours: film while driving"
-        found["moves"] = said if counts["still"] == pairs else ""
+        found["moves"] = counts["still"] == pairs, said
         jumps = counts["cuts"] / max(counts["cuts"] + counts["moving"], 1)
         said = f"{jumps:.0%} of the neighbours do not show the same place, and {agrees:.0%} of a median frame is found again in the next"
-        found["consecutive"] = f"{said}: {closer}" if jumps > MOST_CUTS or agrees < CLOSE else ""
+        found["consecutive"] = jumps > MOST_CUTS or agrees < CLOSE, f"{said}: {closer}"
         said = f"the picture moves by {flow:.2%} of its width from frame to frame, {USEFUL[0]:.1%} to {USEFUL[1]:.1%} is needed"
         mend = closer if flow > USEFUL[1] else "leave --stride out, drive faster, or film what is nearer"
-        found["speed"] = "" if USEFUL[0] <= flow <= USEFUL[1] else f"{said}: {mend}"
+        found["speed"] = not USEFUL[0] <= flow <= USEFUL[1], f"{said}: {mend}"
         said = f"only {travels:.0%} of the motion is more than turning: drive or walk, do not pan, since a turn says nothing of depth"
-        found["travels"] = "" if travels >= TRAVELS else said
+        found["travels"] = travels < TRAVELS, said
     lost = f"{counts['standing']} stand still, {counts['gaps']} gaps, {counts['cuts']} cuts"
-    said = f"{counts['read']} frames at stride {stride}, {counts['used']} of them in drives of three or more ({lost});"
-    said += f" {FEWEST} and {FEWEST_USED} are needed: {slower}film longer without a stop"
-    return found | {"frames": "" if counts["read"] >= FEWEST and counts["used"] >= FEWEST_USED else said}
+    said = f"{counts['read']} frames at stride {stride}, {counts['used']} of them in drives of three or more ({lost})"
+    mend = f"{FEWEST} and {FEWEST_USED} are needed: {slower}film longer without a stop"
+    found["frames"] = counts["read"] < FEWEST or counts["used"] < FEWEST_USED, f"{said}; {mend}"
+    return {name: said if failed else "" for name, (failed, said) in found.items()}
 
 
 def hold_out(drives: Sequence[Drive], count: int | None = None) -> tuple[list[Drive], Drive]:

@@ -143,14 +143,6 @@ def test_pickled_weights_are_read_only_when_allowed(refused):
     assert run("--allow-pickle") == 0
 
 
-def test_missing_images_are_in_one_message_or_left_out(refused):
-    write_list((DRIVE, 0), (DRIVE, 77), (OTHER, 88))
-    error = refused(run)
-    assert "2 of 3 files are missing" in error and "0000000077" in error and "0000000088" in error
-    assert run("--allow-missing") == 0
-    assert [path.name for path in Path("out").glob("*/*")] == ["0000000000.png"]
-
-
 def test_both_cameras_of_a_frame_would_have_one_map(kitti_root, refused):
     write_drive(kitti_root, range(1), camera="image_03")
     Path("list.txt").write_text(f"{DRIVE} 0000000000 l\n{DRIVE} 0000000000 r\n")
