@@ -67,12 +67,10 @@ def own_sources(run: Run, root: str, test_list: str) -> Sources:
     Raises:
         InputError: `root` is no such data set, or its frames are of quite another shape than the profile's hr_size.
     """
-    make = "python data_scripts/own_camera.py VIDEO --out DIR makes one"
-    if not root:
-        raise InputError(f"profile {run.profile.name} trains on a data set of your own camera: give KITTI_ROOT=DIR; {make}")
-    record, data = read_record(root), run.profile.data
+    record, data = read_record(root) if root else None, run.profile.data
     if record is None:
-        raise InputError(f"KITTI_ROOT {root}: holds no {RECORD}, so it is no data set of your own camera; {make}")
+        what = f"KITTI_ROOT {root!r} is no data set of your own camera, with {RECORD}, which profile {run.profile.name} trains on"
+        raise InputError(f"{what}; python data_scripts/own_camera.py VIDEO --out DIR makes one")
     camera, (height, width) = record["camera"], data.hr_size
     squeezed = camera["width"] / camera["height"] * height / width
     if not 1 / MOST_SQUEEZED < squeezed < MOST_SQUEEZED:
