@@ -44,9 +44,7 @@ def unpack(
     folder: str | Path,
     place: Callable[[str], str | None] = str,
     bar: tqdm | None = None,
-    *,
     check: Callable[[Path], dict[str, Any]] = lambda _: {},
-    limit: int | None = None,
 ) -> dict[str, Any]:
     """Unpack an archive below `folder`, all of it or nothing.
 
@@ -57,27 +55,25 @@ def unpack(
         place: maps a member's name to its path below `folder`, or to None to leave it out (its CRC is verified all the same).
         bar: set to the archive's total and counted up by the bytes that are read.
         check: called with the folder that the files wait in to be moved; what it raises refuses the archive.
-        limit: bytes that it may unpack to; else a multiple of its own size.
 
     Returns:
         What was written, as numbers of `files` and `bytes`, and what `check` found.
 
     Raises:
-        BadArchiveError: a truncated or corrupted archive, one that unpacks to more than the limit, or one with links, special files or
-            members that point outside of `folder`.
+        BadArchiveError: a truncated or corrupted archive, one that unpacks to far more than its own size, or one with links, special files
+            or members that point outside of `folder`.
         InputError: the disk has no room for what the archive announces, or cannot be written.
     """
-    archive, folder = Path(archive), Path(folder)
+    archive, folder, bar = Path(archive), Path(folder), bar if bar is not None else tqdm(disable=True)
     staging = folder / f".{archive.name}.unpacking"
     try:
-        limit = limit or max(MOST_OF_SMALL, SWELLING * archive.stat().st_size)
+        limit = max(MOST_OF_SMALL, SWELLING * archive.stat().st_size)
         with archive.open("rb") as file:
             members = _tar_members if file.read(2) == b"\x1f\x8b" else _zip_members
         targets = [(_target(member, archive, place), member[1]) for member in members(archive, limit)]
         kept = [size for target, size in targets if target is not None]
         require_space(folder, sum(kept), f"unpacking {archive.name}")
-        if bar is not None:
-            bar.reset(sum(size for _, size in targets))
+        bar.reset(sum(size for _, size in targets))
         shutil.rmtree(staging, ignore_errors=True)  # one may be left of a killed run
         staging.mkdir(parents=True)
         for (*_, opened), (target, _) in zip(members(archive, limit), targets):
@@ -134,12 +130,11 @@ def _target(member: Member, archive: Path, place: Callable[[str], str | None]) -
     return target
 
 
-def _write(opened: Callable[[], IO[bytes]], target: Path | None, bar: tqdm | None) -> None:
+def _write(opened: Callable[[], IO[bytes]], target: Path | None, bar: tqdm) -> None:
     """Read a member to its end, which in a zip verifies its CRC and never yields more than it announces; write it if it has a target."""
     if target is not None:
         target.parent.mkdir(parents=True, exist_ok=True)
     with opened() as source, open(target or os.devnull, "wb") as sink:
         while chunk := source.read(CHUNK):
             sink.write(chunk)
-            if bar is not None:
-                bar.update(len(chunk))
+            bar.update(len(chunk))

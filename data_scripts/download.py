@@ -31,13 +31,13 @@ def unpacked_cameras(archive: Archive, root: Path) -> set[str] | None:
     """Cameras that earlier runs unpacked of an archive, as its marker tells; None where there is no marker that can be read."""
     try:
         marker = json.loads((root / archive.marker).read_text(encoding="utf-8"))
-        return set(marker.get("cameras", ())) if marker["archive"] == archive.address else None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return set(marker["cameras"]) if marker["archive"] == archive.address else None
+    except (OSError, ValueError, KeyError, TypeError):
         return None
 
 
-def plan(archives: Sequence[Archive], root: Path, home: str, *, keep_archives: bool, if_offline: str) -> tuple[int, int]:
-    """Ask the sizes, say what is to come, check the disk; returns the bytes of all the archives, and how many of them are on disk already.
+def plan(archives: Sequence[Archive], root: Path, home: str, keep_archives: bool, if_offline: str) -> tuple[int, int]:
+    """Ask the sizes, say what is to come, check the disk; returns the bytes of all the archives, and how many of them are to come.
 
     Raises:
         InputError: an archive does not exist, no network, or the disk is too small.
@@ -45,14 +45,13 @@ def plan(archives: Sequence[Archive], root: Path, home: str, *, keep_archives: b
     asked = progress(iterable=archives, desc="asking for sizes", unit="archive", leave=False)
     sizes = [remote_size(home + archive.address, if_offline) for archive in asked]
     left = [max(0, size - part_size(root / "archives" / archive.name)) for archive, size in zip(archives, sizes)]
-    total, missing, unpacked = sum(sizes), sum(left), UNPACKED * sum(sizes)
+    unpacked = UNPACKED * sum(sizes)
     # Archives that are deleted in turn never lie on the disk together.
-    needed = unpacked + (missing if keep_archives else max(left))
-    here = f" ({gigabytes(total - missing)} of {gigabytes(total)} are here already)" if missing < total else ""
-    print(f"{len(archives)} archives: {gigabytes(missing)} to download{here}, at most {gigabytes(unpacked)} when unpacked", flush=True)
+    needed = unpacked + (sum(left) if keep_archives else max(left))
+    coming = f"{gigabytes(sum(left))} of {gigabytes(sum(sizes))} to download"
+    print(f"{len(archives)} archives: {coming}, at most {gigabytes(unpacked)} when unpacked", flush=True)
     require_space(root, needed, "the download")
-    print(f"the disk of {root} has the {gigabytes(needed)} that this takes", flush=True)
-    return total, total - missing
+    return sum(sizes), sum(left)
 
 
 def download(
@@ -82,8 +81,8 @@ def download(
     pending = [archive for archive, there in before.items() if there is None or (archive.images and not set(cameras) <= there)]
     if not pending:
         return 0
-    total, begun = plan(pending, root, home, keep_archives=keep_archives, if_offline=if_offline)
-    with progress(total=total, initial=begun, unit="B", unit_scale=True) as bar:
+    total, left = plan(pending, root, home, keep_archives, if_offline)
+    with progress(total=total, initial=total - left, unit="B", unit_scale=True) as bar:
         for number, archive in enumerate(pending, 1):
             bar.set_description(f"{number}/{len(pending)} {archive.name}")
             path = root / "archives" / archive.name

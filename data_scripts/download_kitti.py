@@ -1,9 +1,16 @@
 """Download KITTI, as much of it as is needed, from its public home.
 
-    python data_scripts/download_kitti.py --root KITTI --profile sample
+    --root KITTI --profile sample                    the three drives of the profile `sample` (2 GB)
+    --root KITTI --profile paper --cameras image_02 image_03
+                                                     all that the paper's split needs (some 170 GB), colour cameras only
+    --root KITTI 2011_09_26/2011_09_26_drive_0095_sync
+                                                     one drive, with the calibration of its day
+    --root KITTI --odometry                          colour images (65 GB), calibration and poses, in KITTI/odometry
+    --root KITTI --improved-depth                    accumulated depth maps (14 GB), in KITTI/depth_annotated
+    --root KITTI --lists-only                        the field's lists of frames (2 MB), in KITTI/lists
 
-Resumes where it was stopped, verifies all it gets, and does nothing for what is there already.
-Whoever has KITTI needs none of this: give that folder as KITTI_ROOT.
+Stop it at any time: the same command goes on from there, verifies all it gets, and does nothing for what is there already.
+Whoever has KITTI needs none of this: give that folder as KITTI_ROOT. The data are for non-commercial use (CC BY-NC-SA 3.0), see cvlibs.net.
 """
 
 import argparse
@@ -12,23 +19,9 @@ from pathlib import Path
 
 from data_scripts import sources
 from data_scripts.download import download, run_script
-from dualdepth.errors import exit_on_input_error
+from dualdepth.errors import InputError, exit_on_input_error
 from dualdepth.files import check_writable
 from dualdepth.profile import load_profile
-
-EXAMPLES = """\
-examples:
-  --root KITTI --profile sample                    the three drives of the profile `sample` (2 GB)
-  --root KITTI --profile paper --cameras image_02 image_03
-                                                   all that the paper's split needs (some 170 GB), colour cameras only
-  --root KITTI 2011_09_26/2011_09_26_drive_0095_sync
-                                                   one drive, with the calibration of its day
-  --root KITTI --odometry                          colour images (65 GB), calibration and poses, in KITTI/odometry
-  --root KITTI --improved-depth                    accumulated depth maps (14 GB), in KITTI/depth_annotated
-  --root KITTI --lists-only                        the field's lists of frames (2 MB), in KITTI/lists
-
-Stop it at any time: the same command goes on from there. The data are for non-commercial use (CC BY-NC-SA 3.0), see cvlibs.net.
-"""
 
 
 def main(argv: Sequence[str] | None = None, *, kitti_home: str = sources.KITTI_HOME, lists_home: str = sources.LISTS_HOME) -> int:
@@ -37,11 +30,7 @@ def main(argv: Sequence[str] | None = None, *, kitti_home: str = sources.KITTI_H
     Raises:
         SystemExit: code 2, after one line on stderr, for bad input, a failed download, a full disk.
     """
-    parser = argparse.ArgumentParser(
-        description="Download KITTI from its public home: resumable, verified, and only what is not there yet.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add = parser.add_argument
     add("drives", nargs="*", metavar="DRIVE", help="raw drives like 2011_09_26/2011_09_26_drive_0095_sync")
     add("--root", required=True, type=Path, metavar="DIR", help="folder to fill, then given as KITTI_ROOT")
@@ -58,26 +47,25 @@ def main(argv: Sequence[str] | None = None, *, kitti_home: str = sources.KITTI_H
     root, lists, drives = given.root, given.root / "lists", list(given.drives)
     with exit_on_input_error():
         sources.drive_archives(drives)  # a misspelt name is told before anything is fetched
-        profile = load_profile(given.profile) if given.profile else None
+        data = load_profile(given.profile).data if given.profile else None
+        if data and data.source != "kitti":
+            raise InputError(f"profile {given.profile} makes its own data: there is nothing to download; choose sample or paper")
         check_writable(root)
-        if profile:
-            drives += sources.profile_drives(profile, lists, lists_home)
-        if profile or given.lists_only:
+        if data or given.lists_only:
             for name in sources.LISTS:
                 sources.named_list(name, lists, lists_home)
             print(f"{len(sources.LISTS)} lists in {lists}")
         if given.lists_only:
             return 0
+        if data:
+            drives += sources.profile_drives(data, sources.profile_lists(data, lists, lists_home))
         archives = sources.drive_archives(drives) + list(sources.ODOMETRY) * given.odometry
         archives += [sources.IMPROVED_DEPTH] * given.improved_depth
         fetched = download(archives, root, kitti_home, cameras=given.cameras, keep_archives=given.keep_archives)
         print(f"{len(archives)} archives unpacked, {fetched} of them now")
-        if drives:
-            print(f"KITTI_ROOT={root}")
-        if given.odometry:
-            print(f"ODOMETRY_ROOT={root / 'odometry'}")
-        if given.improved_depth:
-            print(f"improved ground truth: {root / 'depth_annotated'}")
+        homes = {f"KITTI_ROOT={root}": drives, f"ODOMETRY_ROOT={root / 'odometry'}": given.odometry}
+        homes |= {f"improved ground truth: {root / 'depth_annotated'}": given.improved_depth}
+        print("\n".join(home for home, there in homes.items() if there))
     return 0
 
 

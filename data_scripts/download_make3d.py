@@ -33,17 +33,12 @@ def check_content(archive: Archive, path: Path, folder: Path) -> dict[str, Any]:
     files = sorted(folder.iterdir())
     if len(files) != MAKE3D_PHOTOS:
         raise BadArchiveError(f"{path}: holds {len(files)} files {archive.pattern}, expected {MAKE3D_PHOTOS}")
-    truncated = []
-    for file in progress(iterable=files, desc=f"checking {archive.folder}", unit="file", leave=False):
-        try:
-            if file.suffix == ".mat":
-                read_grid(file)
-            else:
-                read_photo(file)
-                truncated += [file.name] * is_truncated(file)
-        except InputError as error:
-            raise BadArchiveError(str(error)) from None
-    return {"sha256": file_digest(path), "truncated": truncated}
+    try:
+        for file in progress(iterable=files, desc=f"checking {archive.folder}", unit="file", leave=False):
+            (read_grid if file.suffix == ".mat" else read_photo)(file)
+    except InputError as error:
+        raise BadArchiveError(str(error)) from None
+    return {"sha256": file_digest(path), "truncated": [file.name for file in files if is_truncated(file)]}
 
 
 def main(argv: Sequence[str] | None = None, *, home: str = MAKE3D_HOME) -> int:
@@ -52,18 +47,17 @@ def main(argv: Sequence[str] | None = None, *, home: str = MAKE3D_HOME) -> int:
     Raises:
         SystemExit: code 2, after one line on stderr, for a failed download, a damaged archive, a full disk, or photos without grids.
     """
-    what = "Download Make3D's test set (134 photos, 134 laser grids, some 210 MB), checked, and only what is not there yet."
-    parser = argparse.ArgumentParser(description=what)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--root", required=True, type=Path, metavar="DIR", help="folder to fill, then given as MAKE3D_ROOT")
     parser.add_argument("--keep-archives", action="store_true", help="keep the two archives, in DIR/archives; else each goes once unpacked")
-    arguments = parser.parse_args(argv)
-    settings = {"keep_archives": arguments.keep_archives, "if_offline": "if you have Make3D, give MAKE3D_ROOT"}
+    given = parser.parse_args(argv)
     with exit_on_input_error():
-        check_writable(arguments.root)
-        fetched = download(MAKE3D, arguments.root, home, check=check_content, **settings)
-        find_pairs(arguments.root)
+        check_writable(given.root)
+        mend = "if you have Make3D, give MAKE3D_ROOT"
+        fetched = download(MAKE3D, given.root, home, check=check_content, keep_archives=given.keep_archives, if_offline=mend)
+        find_pairs(given.root)
         print(f"{MAKE3D_PHOTOS} photos with their grids, {fetched} of {len(MAKE3D)} archives unpacked now")
-        print(f"MAKE3D_ROOT={arguments.root}")
+        print(f"MAKE3D_ROOT={given.root}")
     return 0
 
 

@@ -8,7 +8,7 @@ The default is the laser's forward coordinate, as in all published numbers on th
 
 import argparse
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,24 +20,25 @@ from dualdepth.data.lidar import ground_truth, improved_ground_truth, improved_p
 from dualdepth.errors import InputError, exit_on_input_error, reading
 
 
-def present_frames(paths: dict[int, Path | None], frames: list[Frame], allow_missing: bool) -> list[int]:
+def present_frames(paths: Sequence[Path | None], frames: Sequence[Frame], allow_missing: bool) -> list[int]:
     """Places in the list of the frames whose file exists.
 
     Raises:
         InputError: files are missing and not allowed to be, or all are; the one message lists every missing file.
     """
-    present = [number for number, path in paths.items() if path is not None and path.is_file()]
-    missing = [str(paths[number] or frames[number]) for number in paths if number not in set(present)]
+    present = [number for number, path in enumerate(paths) if path is not None and path.is_file()]
+    missing = [str(paths[number] or frames[number]) for number in sorted({*range(len(paths))} - {*present})]
+    said = f"{len(missing)} of {len(frames)} files are missing"
     if missing and (not allow_missing or not present):
         mend = "" if allow_missing else "; download them, or pass --allow-missing to export the rest"
-        raise InputError(f"{len(missing)} of {len(frames)} files are missing{mend}: {', '.join(missing)}")
+        raise InputError(f"{said}{mend}: {', '.join(missing)}")
     if missing:
-        print(f"{len(missing)} of {len(frames)} files are missing and left out: {', '.join(missing)}")
+        print(f"{said} and left out: {', '.join(missing)}")
     return present
 
 
 def export_frames(
-    frames: list[Frame],
+    frames: Sequence[Frame],
     out: str | Path,
     *,
     kitti: str | Path | None = None,
@@ -58,7 +59,7 @@ def export_frames(
         InputError: files are missing (all are named in one message) or broken, or `out` cannot be written.
     """
     root = check_root(kitti) if improved is None else Path(improved)
-    paths = {number: improved_path(root, frame) if improved else velodyne_path(root, frame) for number, frame in enumerate(frames)}
+    paths = [improved_path(root, frame) if improved else velodyne_path(root, frame) for frame in frames]
     present = present_frames(paths, frames, allow_missing)
 
     def maps() -> Iterator[np.ndarray]:

@@ -23,7 +23,7 @@ from data_scripts.export_depth import present_frames
 from dualdepth.data.kitti import check_root, image_path, read_frame_list, read_image
 from dualdepth.data.label_maps import CITYSCAPES, label_path
 from dualdepth.device import choose_device, default_device
-from dualdepth.errors import InputError, exit_on_input_error
+from dualdepth.errors import InputError, exit_on_input_error, reading
 from dualdepth.files import atomic_path, file_digest, write_json
 
 if TYPE_CHECKING:
@@ -49,16 +49,14 @@ def load_segmenter(model: str, *, revision: str, device: str | None, allow_pickl
     Raises:
         InputError: it or the device cannot be had, it lacks weights, or its classes are not Cityscapes' 19 in the training ids' order.
     """
-    import pickle
-
     import transformers
-    from safetensors import SafetensorError
     from transformers import AutoConfig, AutoImageProcessor, AutoModelForSemanticSegmentation
 
     transformers.utils.logging.set_verbosity_error()
     transformers.utils.logging.disable_progress_bar()  # a bar in a pipe would break the one-line error
     place, shared = choose_device(device or default_device()), {"revision": revision, "trust_remote_code": False}
-    try:
+    mend = "give a segmentation model of transformers" + "; weights must be safetensors unless --allow-pickle is given" * (not allow_pickle)
+    with reading(model, mend):
         config = AutoConfig.from_pretrained(model, **shared)
         classes = [str(config.id2label[i]) for i in sorted(config.id2label)]
         if tuple(re.sub("[-_]", " ", name.lower()) for name in classes) != CITYSCAPES:
@@ -69,9 +67,6 @@ def load_segmenter(model: str, *, revision: str, device: str | None, allow_pickl
         network, loading = AutoModelForSemanticSegmentation.from_pretrained(
             model, use_safetensors=None if allow_pickle else True, dtype="float32", output_loading_info=True, **shared
         )
-    except (OSError, ValueError, KeyError, RuntimeError, ImportError, SafetensorError, pickle.UnpicklingError) as error:
-        mend = "" if allow_pickle else "; weights must be safetensors unless --allow-pickle is given"
-        raise InputError(f"{model}: not a usable segmentation model ({_first_line(error)}){mend}") from None
     if loading["missing_keys"]:
         raise InputError(f"{model}: has no weights for {sorted(loading['missing_keys'])[0]}; give a model trained on Cityscapes")
     versions = {"revision": getattr(config, "_commit_hash", None), "transformers": transformers.__version__}
@@ -99,7 +94,7 @@ def segment(segmenter: Segmenter, images: Sequence[np.ndarray], size: Size = Non
     """
     import torch
 
-    model, processor, _ = segmenter
+    model, processor, facts = segmenter
     shape = images[0].shape[:2]
     height, width = size or shape
     resize = {"do_resize": bool(size), "size": {"height": height, "width": width}}
@@ -111,11 +106,10 @@ def segment(segmenter: Segmenter, images: Sequence[np.ndarray], size: Size = Non
         with torch.inference_mode():
             logits = model(pixels.to(model.device)).logits
             resized = torch.nn.functional.interpolate(logits, shape, mode="bilinear", align_corners=False)
-    except torch.OutOfMemoryError:
-        raise InputError(f"no memory for {len(images)} images of {height}x{width}; give a smaller --batch-size or --size") from None
-    except (ValueError, RuntimeError) as error:
-        what = f"{segmenter.facts['model']}: cannot take images of {height}x{width} ({_first_line(error)})"
-        raise InputError(f"{what}; give its size with --size HxW") from None
+    except (ValueError, RuntimeError) as error:  # torch's of no memory among them
+        why = next(iter(str(error).splitlines()), type(error).__name__)
+        mend = "give its size with --size HxW, or a smaller --batch-size"
+        raise InputError(f"{facts['model']}: cannot take {len(images)} images of {height}x{width} ({why}); {mend}") from None
     return resized.argmax(1).to(torch.uint8).cpu().numpy()
 
 
@@ -134,13 +128,11 @@ def wanted_maps(kitti: str | Path, frame_list: str | Path, out: Path, allow_miss
     Raises:
         InputError: images are missing, or two cameras' images would have one map.
     """
-    frames = read_frame_list(frame_list)
-    root = check_root(kitti)
-    paths = {number: image_path(root, frame) for number, frame in enumerate(frames)}
-    images: dict[Path, Path] = {}
+    frames, root, images = read_frame_list(frame_list), check_root(kitti), {}
+    paths = [image_path(root, frame) for frame in frames]
     for number in present_frames(paths, frames, allow_missing):
-        image, path = paths[number], label_path(out, frames[number])
-        if images.setdefault(path, image) != image:
+        path = label_path(out, frames[number])
+        if images.setdefault(path, paths[number]) != paths[number]:
             raise InputError(f"{frame_list}: lists both cameras of {frames[number].drive} {frames[number].index}; there is one map a frame")
     return images
 
@@ -151,16 +143,12 @@ def check_maker(out: Path, facts: dict[str, Any]) -> None:
     Raises:
         InputError: naming what made those that are there.
     """
-    if not any(out.glob("*/*.png")):
-        return
-    try:
-        made = json.loads((out / "labels.json").read_text(encoding="utf-8"))
-        same = all(made.get(key) == facts[key] for key in ("weights_sha256", "size"))
-        maker = f"{made.get('model')}, size {made.get('size')}, weights {str(made.get('weights_sha256'))[:8]}"
-    except (OSError, ValueError, AttributeError):
-        same, maker = False, "unknown: it has no readable labels.json"
-    if not same:
-        raise InputError(f"{out}: holds label maps of another maker ({maker}); give another folder for --out")
+    if any(out.glob("*/*.png")):
+        with reading(out / "labels.json", f"{out} holds label maps whose maker is unknown: give another folder for --out"):
+            made = json.loads((out / "labels.json").read_text(encoding="utf-8"))
+            maker = {key: made.get(key) for key in ("model", "weights_sha256", "size")}
+        if maker != {key: facts[key] for key in maker}:
+            raise InputError(f"{out}: holds label maps of another maker ({json.dumps(maker)}); give another folder for --out")
 
 
 def height_width(text: str) -> tuple[int, int]:
@@ -212,10 +200,6 @@ def main(argv: list[str] | None = None) -> int:
         there = len(images) - len(wanted)
         print(f"{given.out}: {len(wanted)} label maps written" + f", {there} were there" * bool(there))
     return 0
-
-
-def _first_line(error: Exception) -> str:
-    return next(iter(str(error).splitlines()), type(error).__name__)
 
 
 if __name__ == "__main__":

@@ -68,15 +68,23 @@ def fetch(address: str, path: str | Path, *, digest: str | None = None, bar: tqd
             raise InputError(f"{path}: {wrong}; it differs from {address}; delete it to have it downloaded again")
         return path
     partial, mark = path.with_name(f"{path.name}.part"), path.with_name(f"{path.name}.part.etag")
+    others = bar.n - part_size(path) if bar is not None else 0
+
+    def tell(size: int) -> None:
+        if bar is not None:
+            bar.update(others + size - bar.n)
+
     try:
-        _with_retries(lambda: _transfer(address, partial, mark, bar), address, if_offline, lambda: part_size(path))
+        _with_retries(lambda: _transfer(address, partial, mark, tell), address, if_offline, lambda: part_size(path))
         if wrong := _wrong_checksum(partial, digest):
-            _discard(partial, mark, bar)
+            partial.unlink()
             raise InputError(f"{partial}: {wrong}; the download is deleted; run again")
         partial.replace(path)
-        mark.unlink(missing_ok=True)
     except OSError as error:
         raise disk_error(path, error) from None
+    finally:
+        if not partial.exists():
+            mark.unlink(missing_ok=True)
     return path
 
 
@@ -131,14 +139,14 @@ def _open(address: str, headers: dict[str, str] | None = None, method: str = "GE
         return urllib.request.build_opener(_NoRedirect).open(request, timeout=TIMEOUT)
     except urllib.error.HTTPError as error:
         error.close()
-        if error.code in (403, 404, 410):  # Amazon's storage answers 403 for a file that does not exist
-            raise InputError(f"{address}: not there (HTTP {error.code}); check the name") from None
         if error.code in (416, 429) or error.code >= 500:
             raise
+        if error.code in (403, 404, 410):  # Amazon's storage answers 403 for a file that does not exist
+            raise InputError(f"{address}: not there (HTTP {error.code}); check the name") from None
         raise InputError(f"{address}: the server refuses (HTTP {error.code} {error.reason})") from None
 
 
-def _transfer(address: str, partial: Path, mark: Path, bar: tqdm | None) -> None:
+def _transfer(address: str, partial: Path, mark: Path, tell: Callable[[int], None]) -> None:
     """One connection's worth of a download: append to `partial` if the server still has the same file, else start over."""
     have = partial.stat().st_size if partial.exists() else 0
     version = mark.read_text(encoding="utf-8") if have and mark.exists() else ""
@@ -149,26 +157,23 @@ def _transfer(address: str, partial: Path, mark: Path, bar: tqdm | None) -> None
         if error.code == 416 and error.headers["Content-Range"] == f"bytes */{have}":
             return  # nothing lies beyond what we have: an earlier run was stopped just before the end
         if error.code == 416:
-            _discard(partial, mark, bar)
+            partial.unlink()
         raise
     with response:
-        if response.status == 206:
-            begins = (response.headers["Content-Range"] or "").startswith(f"bytes {have}-")
-            if not begins or _version(response) not in ("", version):  # a 206 need not repeat the date
-                _discard(partial, mark, bar)
-                raise ConnectionError("the server answered with another part of the file than asked for")
-        else:
-            _discard(partial, mark, bar)
+        content = response.headers["Content-Range"] or ""
+        if response.status == 206 and not (content.startswith(f"bytes {have}-") and _version(response) in ("", version)):
+            partial.unlink()  # a 206 need not repeat the version, but must not have another
+            raise ConnectionError("the server answered with another part of the file than asked for")
+        if response.status != 206:
             have = 0
             partial.parent.mkdir(parents=True, exist_ok=True)
-            if _version(response):
-                write_text(mark, _version(response))
+            partial.unlink(missing_ok=True)
+            write_text(mark, _version(response))
         length = response.headers["Content-Length"]
         with open(partial, "ab") as file:
             while chunk := _read(response):
                 file.write(chunk)
-                if bar is not None:
-                    bar.update(len(chunk))
+                tell(file.tell())
         if length is not None and partial.stat().st_size != have + int(length):
             raise ConnectionError(f"the connection ended after {partial.stat().st_size} of {have + int(length)} bytes")
 
@@ -181,14 +186,6 @@ def _read(response: http.client.HTTPResponse) -> bytes:
         raise ConnectionError(str(error)) from None
 
 
-def _discard(partial: Path, mark: Path, bar: tqdm | None) -> None:
-    """Remove what came so far, to start over."""
-    if bar is not None and partial.exists():
-        bar.update(-partial.stat().st_size)
-    partial.unlink(missing_ok=True)
-    mark.unlink(missing_ok=True)
-
-
 def _version(response: http.client.HTTPResponse) -> str:
     """What names this version of the file in `If-Range`: a strong ETag, or the date; a weak ETag cannot serve."""
     etag = response.headers["ETag"] or ""
@@ -197,7 +194,7 @@ def _version(response: http.client.HTTPResponse) -> str:
 
 def _with_retries(action: Callable[[], Any], address: str, if_offline: str, progress: Callable[[], int] = lambda: 0) -> Any:
     """The result of `action`, tried again with growing pauses while connections break; bytes that came reset the count."""
-    failures, before, host = 0, progress(), urllib.parse.urlsplit(address).netloc
+    failures, before = 0, progress()
     while True:
         try:
             return action()
@@ -210,10 +207,9 @@ def _with_retries(action: Callable[[], Any], address: str, if_offline: str, prog
                 patience = 1  # without a network at all nobody wants to wait
             if failures > patience:
                 if isinstance(error, urllib.error.HTTPError):
-                    said = f"{address}: the server fails (HTTP {error.code}); try again later"
-                elif isinstance(error, urllib.error.URLError):
-                    said = f"no network: {host} cannot be reached ({reason}); {if_offline}"
-                else:
-                    said = f"{address}: the connection keeps breaking ({error}); run again, it goes on after {gigabytes(before)}"
-                raise InputError(said) from None
+                    raise InputError(f"{address}: the server fails (HTTP {error.code}); try again later") from None
+                if isinstance(error, urllib.error.URLError):
+                    raise InputError(f"no network: {address} cannot be reached ({reason}); {if_offline}") from None
+                kept = f"run again, it goes on after {gigabytes(before)}"
+                raise InputError(f"{address}: the connection keeps breaking ({error}); {kept}") from None
             time.sleep(PAUSES[failures - 1])

@@ -5,8 +5,8 @@ from pathlib import Path
 from data_scripts import make_miniature
 from data_scripts.download import download
 from data_scripts.own.dataset import read_record
-from data_scripts.sources import KITTI_HOME, drive_archives, named_list
-from dualdepth.data.kitti import check_root, numbered_lines, read_frame_list
+from data_scripts.sources import KITTI_HOME, drive_archives, profile_drives, profile_lists
+from dualdepth.data.kitti import check_root, numbered_lines
 from dualdepth.errors import InputError
 from dualdepth.run import RECORD, Run, Sources, check_roots
 
@@ -67,12 +67,10 @@ def own_sources(run: Run, root: str, test_list: str) -> Sources:
     Raises:
         InputError: `root` is no such data set, or its frames are of quite another shape than the profile's hr_size.
     """
-    make = "python data_scripts/own_camera.py VIDEO --out DIR makes one"
-    if not root:
-        raise InputError(f"profile {run.profile.name} trains on a data set of your own camera: give KITTI_ROOT=DIR; {make}")
-    record, data = read_record(root), run.profile.data
+    record, data = read_record(root) if root else None, run.profile.data
     if record is None:
-        raise InputError(f"KITTI_ROOT {root}: holds no {RECORD}, so it is no data set of your own camera; {make}")
+        what = f"KITTI_ROOT {root!r} is no data set of your own camera, with {RECORD}, which profile {run.profile.name} trains on"
+        raise InputError(f"{what}; python data_scripts/own_camera.py VIDEO --out DIR makes one")
     camera, (height, width) = record["camera"], data.hr_size
     squeezed = camera["width"] / camera["height"] * height / width
     if not 1 / MOST_SQUEEZED < squeezed < MOST_SQUEEZED:
@@ -87,23 +85,11 @@ def own_sources(run: Run, root: str, test_list: str) -> Sources:
 def kitti_sources(run: Run, kitti_root: str, test_list: str) -> Sources:
     """Sources of real KITTI; without `kitti_root` the profile's drives are downloaded to `work/kitti`."""
     data, home = run.profile.data, run.root / "work" / "kitti"
-
-    def listed(name: str | None) -> Path | None:
-        return named_list(name, home / "lists") if name else None
-
-    if not (named := test_list or data.test_list):
+    data = data.model_copy(update={"test_list": test_list}) if test_list else data
+    if not data.test_list:
         raise InputError(f"profile {run.profile.name} names no frames to score: give data.test_list or TEST_LIST")
-    scored = Path(named) if test_list or Path(named).is_file() else named_list(named, home / "lists")
-    train_list = listed(f"{data.train_list}_train" if data.train_list else None)
+    lists = profile_lists(data, home / "lists")
     if not kitti_root:
-        needed = {frame.drive for path in (scored, train_list) if path for frame in read_frame_list(path)}
-        needed |= {drive.partition(":")[0] for drive in data.train_drives}
         cameras = {"image_02", "image_03", *data.cameras, *(d.partition(":")[2] for d in data.train_drives if ":" in d)}
-        download(drive_archives(sorted(needed)), home, KITTI_HOME, cameras=sorted(cameras))
-    return Sources(
-        kitti_root=check_root(kitti_root or home).resolve(),
-        test_list=scored.resolve(),
-        train_list=train_list,
-        static_frames=listed(data.static_frames),
-        test_scenes=listed(data.test_scenes),
-    )
+        download(drive_archives(profile_drives(data, lists)), home, KITTI_HOME, cameras=sorted(cameras))
+    return Sources(kitti_root=check_root(kitti_root or home).resolve(), **lists)

@@ -8,6 +8,7 @@ Nothing is done where the folder holds this very world already; a run that was s
 """
 
 import argparse
+import functools
 import hashlib
 import json
 import multiprocessing
@@ -20,10 +21,10 @@ from pathlib import Path
 import cv2
 from tqdm import tqdm
 
-from data_scripts.miniature.frames import write_shot
-from data_scripts.miniature.plan import folders, plan_world
+from data_scripts.miniature.frames import Shot, write_shot
+from data_scripts.miniature.plan import plan_world
 from dualdepth.errors import InputError, exit_on_input_error
-from dualdepth.files import locked, write_json
+from dualdepth.files import locked, write_json, write_text
 from dualdepth.profile import load_profile
 from dualdepth.settings import World
 
@@ -32,12 +33,11 @@ STAMP = "world.json"
 """Written last; says which settings and sources a folder was made from."""
 
 
-def make_world(world: World, out: str | Path, progress: bool = True, processes: int | None = None) -> bool:
+def make_world(world: World, out: str | Path, processes: int | None = None) -> bool:
     """Make a world in the folder `out`, unless it is there.
 
     Args:
         world, out: the settings, and the folder; a world in it that was made otherwise is replaced.
-        progress: whether to show a progress bar.
         processes: number of worker processes, None for one a core; 1 works in this one. The result is the same.
 
     Returns:
@@ -48,22 +48,19 @@ def make_world(world: World, out: str | Path, progress: bool = True, processes: 
     """
     out = Path(out).absolute()
     stamp = {"digest": world_digest(world), "settings": world.model_dump(mode="json")}
-    partial = out.with_name(f".{out.name}.part")
+    partial, there = out.with_name(f".{out.name}.part"), out / STAMP
     with locked(out.with_name(f".{out.name}.lock")):
-        if out.exists() and not (out.is_dir() and ((out / STAMP).is_file() or not any(out.iterdir()))):
+        if out.exists() and not there.is_file() and not (out.is_dir() and not any(out.iterdir())):
             raise InputError(f"{out}: is there and is no world that this script made; give another --out or remove it")
-        if (out / STAMP).is_file() and stamp["digest"].encode() in (out / STAMP).read_bytes():
+        if there.is_file() and stamp["digest"].encode() in there.read_bytes():
             print(f"the world is there already, in {out.name}")
             return False
         shutil.rmtree(partial, ignore_errors=True)  # of a killed run
         try:
             work = plan_world(world, partial)
-            for folder in folders(work):
-                folder.mkdir(parents=True, exist_ok=True)
             for name, text in work.texts.items():
-                (partial / name).write_text(text, encoding="utf-8")
-            cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-            _render(work.shots, progress, processes or cores)
+                write_text(partial / name, text)
+            _render(work.shots, processes)
             write_json(partial / STAMP, stamp)
             if out.exists():
                 shutil.rmtree(out)
@@ -81,18 +78,18 @@ def world_digest(world: World) -> str:
     return digest.hexdigest()
 
 
-def _render(shots: list, progress: bool, processes: int) -> None:
+def _render(shots: list[Shot], processes: int | None) -> None:
     """Write all shots; neighbours go to the same process, which keeps their street."""
-    with tqdm(total=len(shots), desc="rendering the world", unit="frame", disable=not progress) as bar:
-        if processes == 1:
-            for shot in shots:
-                write_shot(shot)
-                bar.update()
-            return
-        # A fresh interpreter each: a notebook's process may hold threads and a GPU, which must not be forked.
-        with multiprocessing.get_context("spawn").Pool(processes, initializer=cv2.setNumThreads, initargs=(1,)) as pool:
-            for _ in pool.imap(write_shot, shots, chunksize=8):
-                bar.update()
+    bar = functools.partial(tqdm, total=len(shots), desc="rendering the world", unit="frame")
+    if processes == 1:
+        for shot in bar(shots):
+            write_shot(shot)
+        return
+    processes = processes or (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count())
+    # A fresh interpreter each: a notebook's process may hold threads and a GPU, which must not be forked.
+    with multiprocessing.get_context("spawn").Pool(processes, initializer=cv2.setNumThreads, initargs=(1,)) as pool:
+        for _ in bar(pool.imap(write_shot, shots, chunksize=8)):
+            pass
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

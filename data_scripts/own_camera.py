@@ -8,7 +8,6 @@ The film is cut where it stands still, jumps or misses frames; what can be known
 """
 
 import argparse
-import hashlib
 import json
 import re
 import shutil
@@ -18,11 +17,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from data_scripts.own import dataset
-from data_scripts.own.camera import MOST_BOARDS, Camera, Straightener, calibrate, camera_of_field, camera_of_file, camera_of_numbers
+from data_scripts.own.camera import MOST_BOARDS, Camera, calibrate, camera_of_field, camera_of_file, camera_of_numbers, straightener
 from data_scripts.own.checks import examine, hold_out
 from dualdepth.data.frames import Footage
 from dualdepth.errors import InputError, exit_on_input_error
-from dualdepth.files import file_digest, locked, write_json
+from dualdepth.files import file_digest, locked, short_digest, write_json, write_text
 
 
 class Made(NamedTuple):
@@ -56,9 +55,8 @@ def make(
             raise InputError(f"--{option} {value}: give a whole number from 1 up")
     out, footages = Path(out).absolute(), [Footage(path) for path in inputs]
     options = {"stride": stride, "held_out": held_out, "name": name, "anyway": anyway}
-    digest = hashlib.sha256(json.dumps([_read_from(footages, **given), options]).encode()).hexdigest()
+    digest = short_digest(*(f.digest() for f in footages), json.dumps([_by_content(given), options]))
     partial = out.with_name(f".{out.name}.part")
-    out.parent.mkdir(parents=True, exist_ok=True)
     with locked(out.with_name(f".{out.name}.lock")):
         found = dataset.read_record(out)
         if found and found["made_from"] == digest:
@@ -81,10 +79,10 @@ def make(
     return Made(out, out / f"{name}.yaml", said, kept=False)
 
 
-def _read_from(footages: Sequence[Footage], intrinsics: str = "", chessboard: str | Path = "", **given: Any) -> list[Any]:
-    """What the frames and the camera are read from, by content: a file or chessboard that was moved is the same one."""
-    boards = [Footage(chessboard)] if chessboard else []
-    return [*(footage.digest() for footage in (*footages, *boards)), file_digest(Path(intrinsics)) or intrinsics, given]
+def _by_content(given: dict[str, Any]) -> list[Any]:
+    """The camera's options, a file or chessboard by its content: one that was moved is the same one."""
+    board, numbers = given.get("chessboard"), given.get("intrinsics", "")
+    return [Footage(board).digest() if board else "", file_digest(Path(numbers)) or numbers, given.get("squares"), given.get("fov")]
 
 
 def write(
@@ -105,19 +103,20 @@ def write(
     if not train:
         what = "no three frames are left to train on beside the held-out ones"
         raise InputError(f"{footages[0].path}: {what}: film longer, or lower --held-out")
-    straighten = Straightener(camera) if any(camera.distortion) else None
-    used = straighten.camera if straighten else camera
+    used, straighten = straightener(camera) if any(camera.distortion) else (camera, None)
     dataset.write_frames(root, footages, [*train, shown], straighten)
-    dataset.write_texts(root, used, len(train), len(shown.numbers))
     triplets = sum(len(drive.numbers) - 2 for drive in train)
-    (root / f"{name}.yaml").write_text(dataset.profile_text(hr_size, triplets), encoding="utf-8")
+    dataset.write_texts(root, used, len(train), len(shown.numbers))
+    write_text(root / f"{name}.yaml", dataset.profile_text(hr_size, triplets))
     drives = [
         {"drive": dataset.drive_name(k), "input": d.footage, "first": d.numbers[0], "last": d.numbers[-1], "frames": len(d.numbers)}
         for k, d in enumerate([*train, shown], 1)
     ]
     drives[-1]["held_out"] = True
-    cards = {"camera": camera.record()} | ({"undistorted_to": used.record()} if straighten else {})
-    return cards | {"hr_size": list(hr_size), "triplets": triplets, **film.record(), "drives": drives}
+    found = {check: f"FAILED: {said}" if said else "passed" for check, said in film.checks.items()}
+    record = {"camera": camera.record()} | ({"undistorted_to": used.record()} if straighten else {})
+    record |= {"hr_size": list(hr_size), "triplets": triplets, "stride": film.stride, "frames": film.counts}
+    return record | {"median_motion": film.medians, "checks": found, "drives": drives}
 
 
 def camera_of(
@@ -128,11 +127,9 @@ def camera_of(
     Raises:
         InputError: none or several ways are given, the footages have frames of several sizes, or the camera is none.
     """
-    if sum(map(bool, (intrinsics, chessboard, fov))) != 1:
+    if sum(map(bool, (intrinsics, chessboard, fov))) != 1 or bool(squares) != bool(chessboard):
         ways = "--intrinsics fx,fy,cx,cy (or a calibration file), --chessboard FOLDER_OR_VIDEO --squares 9x6, or --fov DEGREES"
         raise InputError(f"the camera: give one of {ways}, and only one")
-    if squares and not chessboard:
-        raise InputError(f"--squares {squares}: is of a chessboard; give --chessboard FOLDER or a video, too")
     sizes = {footage.path: next(footage.stills()).image.shape[:2] for footage in footages}
     size = sizes[footages[0].path]
     for path, other in sizes.items():
@@ -154,15 +151,14 @@ def camera_of(
 
 def summary(made: Made) -> str:
     """What a user wants to know of a data set, and what to type next."""
-    said, found = made.record, made.record["frames"]
-    camera, (height, width) = said["camera"], said["hr_size"]
+    said, (height, width) = made.record, made.record["hr_size"]
+    camera, found = said["camera"], ", ".join(f"{count} {name}" for name, count in said["frames"].items())
     lines = [
-        f"{made.root}: {'is there already, ' if made.kept else ''}{said['triplets']} triplets to train on,"
-        f" {said['drives'][-1]['frames']} frames held out",
+        f"{made.root}: {'is there already' if made.kept else 'made'}",
+        f"{said['triplets']} triplets to train on, {said['drives'][-1]['frames']} frames held out, {len(said['drives'])} drives",
         f"camera: {camera['origin']}; fx {camera['fx']:g}, field of view {camera['field_of_view_degrees']:g} degrees"
         + ("; frames were undistorted" if "undistorted_to" in said else ""),
-        f"stride {said['stride']}: {found['read']} frames, {found['used']} used, {found['standing']} standing, {found['gaps']} gaps,"
-        f" {found['cuts']} cuts, {found['short']} in pieces of fewer than three; {len(said['drives'])} drives",
+        f"stride {said['stride']}: {found}",
         f"the picture moves by {said['median_motion']['flow']:.2%} of its width from frame to frame (KITTI: about 1.2 %)",
         *(f"warning: {name}: {words}" for name, words in said["checks"].items() if words != "passed"),
         f"HR-Net sees {width}×{height} (hr_size in {made.profile.name}). Train with",

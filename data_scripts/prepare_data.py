@@ -59,43 +59,40 @@ def prepare(run: Run) -> Prepared:
         InputError: files are missing (all in one message), a frame to score is broken, a drive is both trained on and scored, or no triplet
             is left.
     """
-    sources = Sources.load(run)
+    sources, data, out = Sources.load(run), run.profile.data, run.prepared
     root, targets = sources.kitti_root, training_targets(run, sources)
     scored, listed = test_frames(run, sources)
-    labels = [path for frame in scored if sources.labels_root and not (path := label_path(sources.labels_root, frame)).is_file()]
-    if labels:
-        others = f"nor have {len(labels) - 1} other scored frames; make them with data_scripts/export_labels.py"
-        raise InputError(f"{labels[0]}: no label map, {others}")
-    check_separate({f.drive for f in targets}, {f.drive for f in scored}, "drives", sources.allow_leak)
-    sequences = odometry_sequences(run, sources)
+    unlabelled = [path for frame in scored if sources.labels_root and not (path := label_path(sources.labels_root, frame)).is_file()]
+    if unlabelled:
+        others = f"nor have {len(unlabelled) - 1} other scored frames; make them with data_scripts/export_labels.py"
+        raise InputError(f"{unlabelled[0]}: no label map, {others}")
+    check_separate([f.drive for f in targets], [f.drive for f in scored], "drives", sources.allow_leak)
+    sequences, ridden = odometry_sequences(run, sources)
     triplets = [triplet_paths(root, target, suffix) for target, suffix in with_suffix(root, targets)]
-    films = [path for entry in sequences for path in frame_files(sources.odometry_root, entry).values()]
     shown = [path for frame in scored if (path := image_path(root, frame))]
-    ridden = run.profile.odometry_sequences()[1] if sequences else []
-    judged = [*shown, *(path for entry in ridden for path in frame_files(sources.odometry_root, entry).values())]
-    broken = broken_frames([*itertools.chain(*triplets), *films], judged)
+    films, judged = ([f for e in entries for f in frame_files(sources.odometry_root, e).values()] for entries in (sequences, ridden))
+    broken = broken_frames([*itertools.chain(*triplets), *films], [*shown, *judged])
     named = "; ".join(broken.values())
-    if to_score := len(broken.keys() & set(judged)):
+    if to_score := len(broken.keys() & {*shown, *judged}):
         raise InputError(f"{to_score} frames to score are broken, and {len(broken) - to_score} others: {named}")
     if broken:
         print(f"{len(broken)} frames are broken and left out with their triplets: {named}")
     whole = [target for target, paths in zip(targets, triplets) if broken.keys().isdisjoint(paths)]
     if not whole:
         raise InputError(f"{root}: all {len(targets)} triplets have broken frames; copy or download them again")
-    fitted = laser_frames(sources, whole, run.profile.data.baseline_frames)
-    write_targets(run.prepared / "triplets.csv", root, whole)
+    fitted = laser_frames(sources, whole, data.baseline_frames)
+    write_targets(out / "triplets.csv", root, whole)
     write_identity(run, sources, whole)
-    if run.profile.data.has_truth:
-        export_frames(scored, run.prepared / "ground_truth.npz", kitti=root)
+    if data.has_truth:
+        export_frames(scored, out / "ground_truth.npz", kitti=root)
     else:  # of an own camera: nothing was measured (0)
-        save_ground_truth(run.prepared / "ground_truth.npz", (np.zeros(read_image(path).shape[:2], np.float32) for path in shown))
-    (run.prepared / "baseline_truth.npz").unlink(missing_ok=True)
+        save_ground_truth(out / "ground_truth.npz", (np.zeros(read_image(path).shape[:2], np.float32) for path in shown))
+    for name in ("baseline_truth.npz", "odometry.csv"):  # of an earlier preparation
+        (out / name).unlink(missing_ok=True)
     if fitted:
-        export_frames(fitted, run.prepared / "baseline_truth.npz", kitti=root)
-    write_json(run.prepared / "test_frames.json", {"listed": listed, "frames": [list(frame) for frame in scored]})
-    index = run.prepared / "odometry.csv"
-    index.unlink(missing_ok=True)
-    odometry = write_odometry_index(index, sources.odometry_root, sequences, broken) if sequences else 0
+        export_frames(fitted, out / "baseline_truth.npz", kitti=root)
+    write_json(out / "test_frames.json", {"listed": listed, "frames": scored})
+    odometry = write_odometry_index(out / "odometry.csv", sources.odometry_root, sequences, broken) if sequences else 0
     return Prepared(len(whole), len(scored), listed, len(fitted), odometry)
 
 
@@ -132,15 +129,14 @@ def training_targets(run: Run, sources: Sources) -> list[Frame]:
         InputError: frames are missing (all in one message), a training drive is a test drive, or nothing is left.
     """
     data, root = run.profile.data, check_root(sources.kitti_root)
-    static = read_static_frames(sources.static_frames) if sources.static_frames else set()
-    scenes = read_test_scenes(sources.test_scenes) if sources.test_scenes else set()
-    if sources.train_list:
-        targets = read_frame_list(sources.train_list)
-        missing = missing_neighbours(root, targets)
-        if missing:
-            raise missing_files_error("to train on", root, [(frame, frame.camera) for frame in missing])
-        return targets
-    return drive_triplets(root, data.train_drives or sources.train_drives, data.cameras, static, scenes)
+    if not sources.train_list:
+        static = read_static_frames(sources.static_frames) if sources.static_frames else set()
+        scenes = read_test_scenes(sources.test_scenes) if sources.test_scenes else set()
+        return drive_triplets(root, data.train_drives or sources.train_drives, data.cameras, static, scenes)
+    targets = read_frame_list(sources.train_list)
+    if missing := missing_neighbours(root, targets):
+        raise missing_files_error("to train on", root, [(frame, frame.camera) for frame in missing])
+    return targets
 
 
 def test_frames(run: Run, sources: Sources) -> tuple[list[Frame], int]:
@@ -167,31 +163,30 @@ def laser_frames(sources: Sources, targets: Sequence[Frame], most: int) -> list[
     return [scanned[i] for i in chosen]
 
 
-def write_identity(run: Run, sources: Sources, targets: Sequence[Frame]) -> Path:
+def write_identity(run: Run, sources: Sources, targets: Sequence[Frame]) -> None:
     """Write `prepared/identity.json`: which world or which calibrations the triplets are of, since their names alone do not tell."""
-    root, world = sources.kitti_root, sources.kitti_root.parent / "world.json"
-    files = [world] if run.profile.world else [root / date / "calib_cam_to_cam.txt" for date in sorted({f.date for f in targets})]
-    path = run.prepared / "identity.json"
+    root = sources.kitti_root
+    days = [root / date / "calib_cam_to_cam.txt" for date in sorted({f.date for f in targets})]
+    files = [root.parent / "world.json"] if run.profile.world else days
     own = {} if run.profile.data.has_truth else {RECORD: file_digest(root / RECORD)}
-    write_json(path, {file.parent.name: file_digest(file) for file in files} | own)
-    return path
+    write_json(run.prepared / "identity.json", {file.parent.name: file_digest(file) for file in files} | own)
 
 
-def odometry_sequences(run: Run, sources: Sources) -> list[str]:
-    """Odometry sequences to train on; none where there are no such variants or frames.
+def odometry_sequences(run: Run, sources: Sources) -> tuple[list[str], list[str]]:
+    """Odometry sequences to train on and to score; none where there are no such variants or frames.
 
     Raises:
         InputError: a sequence to train on or to score is not there, or is both.
     """
     if sources.odometry_root is None or not run.profile.trained_on("odometry"):
-        return []
+        return [], []
     root, (train, test) = check_odometry_root(sources.odometry_root), run.profile.odometry_sequences()
     for entry in test:
         frame_files(root, entry)
-        if not (path_of := poses_path(root, entry)).is_file():
-            raise InputError(f"{path_of}: the true poses of sequence {entry}, which is to be scored, are missing; download them first")
+        if not (path := poses_path(root, entry)).is_file():
+            raise InputError(f"{path}: the true poses of sequence {entry}, which is to be scored, are missing; download them first")
     check_separate([sequence_of(e)[0] for e in train], [sequence_of(e)[0] for e in test], "sequences", sources.allow_leak)
-    return train
+    return train, test
 
 
 def check_separate(train: Iterable[str], test: Iterable[str], what: str, allow_leak: bool) -> None:

@@ -9,7 +9,7 @@ Make3D: A. Saxena, M. Sun, A. Y. Ng, "Make3D: Learning 3D Scene Structure from a
 import fnmatch
 import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,7 +17,7 @@ from data_scripts.fetch import fetch
 from dualdepth.data.kitti import read_frame_list
 from dualdepth.errors import InputError
 from dualdepth.files import write_text
-from dualdepth.profile import Profile
+from dualdepth.settings import Data
 
 KITTI_HOME = "https://s3.eu-central-1.amazonaws.com/avg-kitti/"
 MAKE3D_HOME = "https://www.cs.cornell.edu/~asaxena/learningdepth/"
@@ -58,22 +58,37 @@ def named_list(name: str, cache_dir: str | Path, home: str = LISTS_HOME) -> Path
     """Local path of a field's list, downloaded once; a copy that is there already is verified too.
 
     Args:
-        name, cache_dir: a key of `LISTS` or `DERIVED`, and the folder that holds, or will hold, `<name>.txt`.
+        name, cache_dir: a key of `LISTS` or `DERIVED`, and the folder that holds, or will hold, `<name>.txt`; or the path of a file.
         home: another server in place of the public one (tests).
 
     Raises:
         InputError: no such list, no network, or bytes whose sha256 differs.
     """
     path = Path(cache_dir) / f"{name}.txt"
+    if name in LISTS:
+        mend = f"else put the list at {path} yourself"
+        return fetch(home + LISTS[name].path, path, digest=f"sha256:{LISTS[name].sha256}", if_offline=mend)
     if name in DERIVED:
         origin, drives = DERIVED[name]
         lines = named_list(origin, cache_dir, home).read_text(encoding="utf-8").splitlines(keepends=True)
         write_text(path, "".join(line for line in lines if any(drive in line for drive in drives)))
         return path
-    if name not in LISTS:
-        raise InputError(f"list {name!r} is not known; choose one of {', '.join([*LISTS, *DERIVED])} or give the path of a file")
-    mend = f"else put the list at {path} yourself"
-    return fetch(home + LISTS[name].path, path, digest=f"sha256:{LISTS[name].sha256}", if_offline=mend)
+    if Path(name).is_file():
+        return Path(name)
+    raise InputError(f"list {name!r} is not known; choose one of {', '.join([*LISTS, *DERIVED])} or give the path of a file")
+
+
+def profile_lists(data: Data, cache_dir: str | Path, home: str = LISTS_HOME) -> dict[str, Path]:
+    """Local paths of the lists that a profile names: `test_list`, `train_list`, `static_frames`, `test_scenes`; see `named_list`."""
+    named = data.model_dump(include={"test_list", "static_frames", "test_scenes"})
+    named["train_list"] = data.train_list and f"{data.train_list}_train"
+    return {key: named_list(name, cache_dir, home).resolve() for key, name in named.items() if name}
+
+
+def profile_drives(data: Data, lists: Mapping[str, Path]) -> list[str]:
+    """The raw drives that a profile trains and is scored on: its own, and those of its lists; the others only take frames away."""
+    frames = [frame for key in ("test_list", "train_list") if key in lists for frame in read_frame_list(lists[key])]
+    return sorted({drive.partition(":")[0] for drive in data.train_drives} | {frame.drive for frame in frames})
 
 
 class Archive(NamedTuple):
@@ -147,22 +162,3 @@ def drive_archives(drives: Sequence[str]) -> list[Archive]:
         archives.append(Archive(f"raw_data/{date}_calib.zip", f"{date}/.calib.complete.json"))
         archives += [Archive(f"raw_data/{name}/{name}_sync.zip", f"{date}/{name}_sync/.complete.json", images=True) for name in of_day]
     return archives
-
-
-def profile_drives(profile: Profile, cache_dir: str | Path, home: str = LISTS_HOME) -> list[str]:
-    """The raw drives that a profile trains and is scored on: its own, and those that its lists mention.
-
-    The lists of static frames and test scenes only take frames away.
-
-    Raises:
-        InputError: the profile makes its own data, or a list cannot be had.
-    """
-    data = profile.data
-    if data.source != "kitti":
-        raise InputError(f"profile {profile.name} makes its own data: there is nothing to download; choose sample or paper")
-    drives = {drive.partition(":")[0] for drive in data.train_drives}
-    for name in filter(None, (data.train_list, data.test_list)):
-        parts = [part for part in (name, f"{name}_train", f"{name}_val") if part in LISTS or part in DERIVED]
-        for path in [named_list(part, cache_dir, home) for part in parts] or [Path(name)]:
-            drives.update(frame.drive for frame in read_frame_list(path))
-    return sorted(drives)

@@ -42,9 +42,9 @@ def write_frames(folder, frames, names=None, suffix=".png") -> Path:
     return folder
 
 
-def write_video(path, frames, rate=10) -> Path:
+def write_video(path, frames, code="mp4v", rate=10) -> Path:
     """A video file."""
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), rate, frames[0].shape[1::-1])
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*code), rate, frames[0].shape[1::-1])
     for image in frames:
         writer.write(np.ascontiguousarray(image[:, :, ::-1]))
     writer.release()

@@ -48,6 +48,13 @@ def depth(*arguments):
     return main(["evaluate", "depth", "--pred", "P.npy", "--gt", "G.npz", *arguments])
 
 
+def write_numbered(path, poses, frames):
+    """A pose file whose lines begin with the frame's number."""
+    write_trajectory(path, poses)
+    lines = Path(path).read_text().splitlines()
+    Path(path).write_text("".join(f"{frame} {line}\n" for frame, line in zip(frames, lines, strict=True)))
+
+
 def odometry(*arguments, pred="pred.txt", gt="gt.txt"):
     return main(["evaluate", "odometry", "--pred", pred, "--gt", gt, *arguments])
 
@@ -145,7 +152,7 @@ def test_odometry_is_flat_and_equals_the_library(values_of, length, align):
 
 def test_frame_numbers_pair_the_poses_and_no_snippet_crosses_a_gap(values_of):
     frames = np.array([2, 3, 4, 5, 8, 9, 10, 200])
-    write_trajectory("part.txt", read_trajectory("gt.txt").poses[frames], frames)
+    write_numbered("part.txt", read_trajectory("gt.txt").poses[frames], frames)
     values, _ = values_of(odometry, "--align", "none", pred="part.txt")
     assert values.pop("n") == 3
     assert [v for v in values.values() if v is not None] == pytest.approx([0] * 5, abs=1e-5)  # the truth scores zero
@@ -161,7 +168,7 @@ def test_what_cannot_be_measured_is_null_and_said_in_words(values_of, capsys):
     assert "t_err             none\n" in capsys.readouterr().out
     frames, truth = np.arange(0, 300, 10), arc(300, 0.01, 1.005)  # 100 frames exceed 100 m, so both ends are there
     write_trajectory("gt.txt", truth)
-    write_trajectory("sparse.txt", truth[frames], frames)
+    write_numbered("sparse.txt", truth[frames], frames)
     values, notes = values_of(odometry, pred="sparse.txt")
     assert [name for name in NAMES if values[name] is None] == ["rpe_t", "rpe_r", "snippet_ate_mean", "snippet_ate_std"]
     assert values["n"] == 0 and "note: rpe_t, rpe_r: " in notes and "note: snippet_ate: " in notes

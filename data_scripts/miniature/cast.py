@@ -27,11 +27,6 @@ class Rays(NamedTuple):
     y: np.ndarray
     """(H, 1), rising, or (H, W); float32."""
 
-    @property
-    def shape(self) -> tuple[int, int]:
-        """(H, W)."""
-        return self.y.shape[0], self.x.shape[1]
-
 
 class Hits(NamedTuple):
     """What the rays meet first."""
@@ -44,7 +39,7 @@ class Hits(NamedTuple):
 
 def surface_table(shapes: list[Prism | Quadric]) -> list[tuple[Prism | Quadric, int]]:
     """The solid and face of each surface index from `FIRST` on."""
-    return [(shape, face) for shape in shapes for face in range(len(shape.normals) if isinstance(shape, Prism) else 1)]
+    return [(shape, face) for shape in shapes for face in range(len(shape.surfaces))]
 
 
 def cast(shapes: list[Prism | Quadric], rays: Rays) -> Hits:
@@ -53,8 +48,7 @@ def cast(shapes: list[Prism | Quadric], rays: Rays) -> Hits:
     ground = _affine(rotation[1] / -origin[1], rays.x, rays.y)
     nearness = np.maximum(ground, 0.0).astype(np.float32)
     index = np.where(ground > 0, np.uint16(GROUND), np.uint16(SKY))
-    counts = [len(shape.normals) if isinstance(shape, Prism) else 1 for shape in shapes]
-    first = FIRST + np.cumsum([0, *counts[:-1]])
+    first = FIRST + np.cumsum([0, *(len(shape.surfaces) for shape in shapes[:-1])])
     windows, nearest = _windows(shapes, rays)
     for k in np.argsort(-nearest, kind="stable"):  # front to back, since what is hidden as a whole costs nothing more
         if windows[k] is None:

@@ -8,8 +8,9 @@ import numpy as np
 
 from data_scripts.miniature.cast import FIRST, GROUND, SKY, Hits, Rays
 from data_scripts.miniature.ground import ground_colour
-from data_scripts.miniature.noise import BLOTCH, GRAIN, fade, noise, sky_noise
+from data_scripts.miniature.noise import BLOTCH, GRAIN, fade, noise
 from data_scripts.miniature.scene import Scene
+from data_scripts.miniature.shadows import SUN
 from data_scripts.miniature.solids import Prism, Quadric, Surface
 
 CHUNK = 16384
@@ -33,7 +34,7 @@ def shade(scene: Scene, table: list[tuple[Prism | Quadric, int]], rays: Rays, hi
         (3, H, W) float32 RGB, 0..1.
     """
     index, nearness = hits.index.ravel(), hits.nearness.ravel()
-    x, y = (np.broadcast_to(a, rays.shape).ravel() for a in (rays.x, rays.y))
+    x, y = (np.broadcast_to(a, hits.index.shape).ravel() for a in (rays.x, rays.y))
     rotation, origin = rays.pose[:3, :3].astype(np.float32), rays.pose[:3, 3]
     focal = 1 / float(rays.x[0, 1] - rays.x[0, 0])
     colour = np.empty((3, index.size), np.float32)
@@ -52,12 +53,12 @@ def shade(scene: Scene, table: list[tuple[Prism | Quadric, int]], rays: Rays, hi
             if number == GROUND:
                 footprint = depth**2 / (focal * float(-origin[1]))
                 albedo, light = ground_colour(scene, points, footprint)
-                light = AMBIENT + DIRECT * float(-scene.sun[1]) * light
+                light = AMBIENT + DIRECT * float(-SUN[1]) * light
             else:
                 albedo, light = _solid(scene, *table[number - FIRST], points, depth, focal, origin)
             clear = np.exp(depth / -HAZE_LENGTH)
             colour[:, rows] = albedo * (light * clear) + HAZE * (1 - clear)
-    return np.clip(colour, 0, 1, out=colour).reshape(3, *rays.shape)
+    return np.clip(colour, 0, 1, out=colour).reshape(3, *hits.index.shape)
 
 
 def _sky(scene: Scene, direction: np.ndarray) -> np.ndarray:
@@ -65,23 +66,23 @@ def _sky(scene: Scene, direction: np.ndarray) -> np.ndarray:
     x, y, z = direction / np.linalg.norm(direction, axis=0)
     height = np.maximum(-y, 0)
     blue = HAZE + np.float32(0.03) - np.array([[0.75], [0.55], [0.25]], np.float32) * height
-    cloud = np.clip(0.45 + 0.4 * sky_noise(x / (height + 0.25) + scene.seed * 9, z / (height + 0.25)), 0, 1)
+    x, z = x / (height + 0.25) + scene.seed * 9, z / (height + 0.25)
+    cloud = np.clip(0.45 + 0.4 * (noise(BLOTCH, x / 9, z / 9) + 0.35 * noise(GRAIN, x / 7, z / 7)), 0, 1)  # of two sizes
     return blue + (0.95 - blue) * cloud
 
 
 def _solid(scene: Scene, shape: Prism | Quadric, face: int, points, depth, focal, origin) -> tuple[np.ndarray, np.ndarray]:
     """Albedo (3, n) and light (n,) of points (3, n) on one face of a solid."""
+    surface = shape.surfaces[face]
     if isinstance(shape, Quadric):
         normal = (points - shape.centre.astype(np.float32)[:, None]) * (1 / shape.radii**2).astype(np.float32)[:, None]
-        sun = np.maximum(scene.sun.astype(np.float32) @ normal / np.linalg.norm(normal, axis=0), -0.4)
-        albedo = ROUND[shape.surface.material](shape.surface, points, depth / focal)
-        return albedo, AMBIENT + DIRECT * sun
-    surface = shape.surfaces[face]
+        sun = np.maximum(SUN.astype(np.float32) @ normal / np.linalg.norm(normal, axis=0), -0.4)
+        return ROUND[surface.material](surface, points, depth / focal), AMBIENT + DIRECT * sun
     offset = points - surface.origin[:, None].astype(np.float32)
     u, v = surface.along.astype(np.float32) @ offset, surface.up.astype(np.float32) @ offset
     distance = abs(float(surface.normal @ (origin - surface.origin)))
     footprint = np.maximum(depth**2 / (focal * max(distance, 0.05)), depth / focal)
-    light = AMBIENT + DIRECT * max(0.0, float(scene.sun @ surface.normal))
+    light = AMBIENT + DIRECT * max(0.0, float(SUN @ surface.normal))
     return FLAT[surface.material](surface, u, v, footprint), np.full(depth.shape, light, np.float32)
 
 
@@ -222,19 +223,6 @@ def _bollard(surface: Surface, points, footprint) -> np.ndarray:
     return np.where(band, _column((0.7, 0.1, 0.1)), _column(surface.colour))
 
 
-FLAT = {
-    "plain": _plain,
-    "facade": _facade,
-    "roof": _roof,
-    "hedge": _hedge,
-    "fence": _fence,
-    "sign": _sign,
-    "paint": _paint,
-    "front": _front,
-    "back": _back,
-    "doors": _doors,
-    "side": _side,
-    "glass": _plain,
-    "wheel": _wheel,
-}
+_PATTERNS = (_plain, _facade, _roof, _hedge, _fence, _sign, _paint, _front, _back, _doors, _side, _wheel)
+FLAT = {pattern.__name__[1:]: pattern for pattern in _PATTERNS} | {"glass": _plain}
 ROUND = {"leaves": _leaves, "forest": _forest, "bark": _bark, "metal": _metal, "bollard": _bollard}

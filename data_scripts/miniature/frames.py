@@ -47,11 +47,13 @@ def _scene(plan: Plan) -> Scene:
 
 
 def write_shot(shot: Shot) -> None:
-    """Render a shot and write its files; the folders are there already."""
+    """Render a shot and write its files."""
+    for path in filter(None, (shot.image, shot.depth, shot.labels, shot.scan, shot.grid)):
+        path.parent.mkdir(parents=True, exist_ok=True)
     scene = _scene(shot.plan)
     image = render_image(scene, shot.pose, shot.intrinsics, shot.size, shot.supersample, shot.time)
     _write_picture(shot.image, image[..., ::-1])
-    if shot.depth or shot.labels:
+    if shot.depth and shot.labels:
         depth, labels, _ = render_geometry(scene, shot.pose, shot.intrinsics, shot.size, shot.time)
         np.save(shot.depth, depth)
         _write_picture(shot.labels, labels)
@@ -74,6 +76,6 @@ def grid_intrinsics(intrinsics: np.ndarray, size: tuple[int, int]) -> np.ndarray
 
 
 def _write_picture(path: Path, picture: np.ndarray) -> None:
-    """Write (H, W) or BGR (H, W, 3) uint8 as PNG or JPEG."""
-    options = [cv2.IMWRITE_PNG_COMPRESSION, 3] if path.suffix == ".png" else [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
+    """Write (H, W) or BGR (H, W, 3) uint8 as PNG or JPEG; unlike OpenCV's writer this raises on a full disk."""
+    options = [cv2.IMWRITE_PNG_COMPRESSION, 3, cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
     path.write_bytes(cv2.imencode(path.suffix, picture, options)[1].tobytes())

@@ -38,11 +38,6 @@ def noise(tile: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return cv2.remap(tile, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)[0]
 
 
-def sky_noise(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Clouds: two sizes of blotches, (N,)."""
-    return noise(BLOTCH, x / 9, y / 9) + 0.35 * noise(GRAIN, x / 7, y / 7)
-
-
 def fade(footprint: np.ndarray, size: float) -> np.ndarray:
     """Weight of detail of `size` metres where a ray covers `footprint` metres: 1 up close, towards 0 far away."""
     return 1 / (1 + (footprint / np.float32(size)) ** 2)

@@ -1,6 +1,7 @@
 """What the world consists of: every drive, sequence and photo of the settings, as shots to render and texts to write."""
 
-from collections.abc import Iterator
+import collections
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -30,11 +31,8 @@ class Work:
     shots: list[Shot] = field(default_factory=list)
     texts: dict[str, str] = field(default_factory=dict)
     """Content by path below `root`."""
-    lists: dict[str, list[str]] = field(default_factory=lambda: {name: [] for name in LISTS})
-
-
-LISTS = ("train_drives", "static_frames", "test_scenes", "test_files", "laser_train_files")
-"""Names of the lists in `lists/`, in the field's formats."""
+    lists: dict[str, list[str]] = field(default_factory=lambda: collections.defaultdict(list))
+    """Lines by the names of the lists in `lists/`, in the field's formats."""
 
 
 def plan_world(world: World, root: Path) -> Work:
@@ -56,27 +54,26 @@ def plan_world(world: World, root: Path) -> Work:
     return work
 
 
-def _raw_drive(
-    world: World, seed: tuple[int, ...], frames: int, still: tuple[int, int] = (0, 0), bend: tuple[float, float] = BEND
-) -> Drive:
-    length = 1.3 * frames * world.frame_spacing + 10
-    plan = Plan(seed, length, *bend, pace=world.frame_spacing / PERIOD)
-    return drive(plan, build_street(plan), world.frame_spacing, frames, still=still)
-
-
-def _raw_shot(world: World, work: Work, name: str, ride: Drive, k: int, scan: bool) -> Shot:
-    folder = work.root / "kitti_raw" / name
-    return Shot(
-        ride.plan,
-        ride.poses[k],
-        ride.times[k],
-        formats.intrinsics(world.size),
-        world.size,
-        world.supersample,
-        image=folder / "image_02" / "data" / f"{k:010d}.png",
-        scan=folder / "velodyne_points" / "data" / f"{k:010d}.bin" if scan else None,
-        azimuth_step=world.azimuth_step,
-    )
+def _drive_shots(
+    world: World,
+    work: Work,
+    name: str,
+    seed: tuple[int, ...],
+    numbers: Sequence[int],
+    scanned: Collection[int],
+    bend: tuple[float, float] = BEND,
+    still: tuple[int, int] = (0, 0),
+) -> tuple[Drive, list[Shot]]:
+    """A drive, and shots of the frames with these `numbers`, those `scanned` with a laser scan."""
+    frames = numbers[-1] + 1
+    plan = Plan(seed, 1.3 * frames * world.frame_spacing + 10, *bend, pace=world.frame_spacing / PERIOD)
+    ride = drive(plan, build_street(plan), world.frame_spacing, frames, still=still)
+    view, shots = (formats.intrinsics(world.size), world.size, world.supersample), []
+    for k in numbers:
+        image, scan = (work.root / "kitti_raw" / formats.DATE / name / f"{kind}/data/{k:010d}" for kind in ("image_02", "velodyne_points"))
+        shot = Shot(plan, ride.poses[k], ride.times[k], *view, image.with_suffix(".png"), azimuth_step=world.azimuth_step)
+        shots.append(shot._replace(scan=scan.with_suffix(".bin") if k in scanned else None))
+    return ride, shots
 
 
 def _train_drive(world: World, work: Work, number: int) -> None:
@@ -84,9 +81,9 @@ def _train_drive(world: World, work: Work, number: int) -> None:
     day, frames = formats.DATE, world.frames_per_drive
     name = f"{day}_drive_{number + 1:04d}_sync"
     still = (max(0, frames // 2 - world.static_frames // 2), world.static_frames) if number == 0 else (0, 0)
-    ride = _raw_drive(world, (world.train_seed, RAW, number), frames, still, TRAIN_BENDS[number % 2])
     scanned = set(np.linspace(0, frames - 1, world.laser_train_frames + 2)[1:-1].astype(int).tolist())
-    work.shots += [_raw_shot(world, work, f"{day}/{name}", ride, k, k in scanned) for k in range(frames)]
+    ride, shots = _drive_shots(world, work, name, (world.train_seed, RAW, number), range(frames), scanned, TRAIN_BENDS[number % 2], still)
+    work.shots += shots
     work.lists["train_drives"].append(f"{day}/{name}")
     work.lists["static_frames"] += [f"{day} {name} {k:010d}" for k in np.flatnonzero(ride.standing)]
     work.lists["laser_train_files"] += [f"{day}/{name} {k:010d} l" for k in sorted(scanned)]
@@ -97,9 +94,7 @@ def _test_drive(world: World, work: Work, number: int) -> None:
     day = formats.DATE
     name = f"{day}_drive_{FIRST_TEST_DRIVE + number:04d}_sync"
     frames = [k * world.test_step for k in range(world.test_frames)]
-    ride = _raw_drive(world, (world.test_seed, RAW, number), frames[-1] + 1)
-    for k in frames:
-        shot = _raw_shot(world, work, f"{day}/{name}", ride, k, scan=True)
+    for k, shot in zip(frames, _drive_shots(world, work, name, (world.test_seed, RAW, number), frames, frames)[1]):
         depth, labels = work.root / "dense_depth" / name / f"{k:010d}.npy", work.root / "labels" / name / f"{k:010d}.png"
         work.shots.append(shot._replace(depth=depth, labels=labels))
     work.lists["test_scenes"].append(name.removesuffix("_sync"))
@@ -132,10 +127,3 @@ def _photos(world: World, work: Work) -> None:
         name = f"mini-p-{k:03d}t000"
         photo, grid = work.root / "make3d/Test134" / f"img-{name}.jpg", work.root / "make3d/Gridlaserdata" / f"depth_sph_corr-{name}.mat"
         work.shots.append(Shot(plan, pose, 0.0, matrix, world.make3d_size, world.supersample, photo, grid=grid))
-
-
-def folders(work: Work) -> Iterator[Path]:
-    """Every folder that files go to."""
-    files = [work.root / name for name in work.texts]
-    files += [path for shot in work.shots for path in (shot.image, shot.depth, shot.labels, shot.scan, shot.grid) if path]
-    yield from {path.parent for path in files}

@@ -12,7 +12,7 @@ from data_scripts.miniature.cast import FIRST, GROUND, Rays, cast, surface_table
 from data_scripts.miniature.colours import CHUNK, shade
 from data_scripts.miniature.ground import ground_label
 from data_scripts.miniature.scene import Scene
-from data_scripts.miniature.solids import SKY, Prism
+from data_scripts.miniature.solids import SKY
 
 
 class View(NamedTuple):
@@ -58,7 +58,7 @@ def render_geometry(scene: Scene, pose: np.ndarray, intrinsics: np.ndarray, size
     shapes = scene.shapes(time)
     rays = camera_rays(pose, intrinsics, size)
     hits = cast(shapes, rays)
-    surfaces = [s for shape in shapes for s in (shape.surfaces if isinstance(shape, Prism) else [shape.surface])]
+    surfaces = [surface for shape in shapes for surface in shape.surfaces]
     labels = np.array([SKY, 0] + [s.label for s in surfaces], np.uint8)[hits.index]
     moving = np.array([False] * FIRST + [s.moving for s in surfaces])[hits.index]
     with np.errstate(divide="ignore"):

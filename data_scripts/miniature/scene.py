@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from data_scripts.miniature import solids
-from data_scripts.miniature.shadows import SUN, Shadows, cast_shadows
+from data_scripts.miniature.shadows import Shadows, cast_shadows
 from data_scripts.miniature.solids import Place, Prism, Quadric
 from data_scripts.miniature.street import Plan, Street, build_street
 
@@ -56,7 +56,6 @@ class Scene:
     quadrics: list[Quadric] = field(default_factory=list)
     movers: list[Mover] = field(default_factory=list)
     shadows: Shadows | None = None
-    sun: np.ndarray = field(default_factory=lambda: SUN)
 
     def shapes(self, time: float) -> list[Prism | Quadric]:
         """Standing solids, and the moving cars where they are at `time` (seconds)."""

@@ -52,7 +52,8 @@ class Quadric(NamedTuple):
     top: float
     corners: np.ndarray
     """(8, 3), of a box around it."""
-    surface: Surface
+    surfaces: list[Surface]
+    """The one that it has."""
 
 
 class Place(NamedTuple):
@@ -95,29 +96,19 @@ def prism(
     base = np.array([place.point[0], 0, place.point[1]])
     points = np.asarray(outline, float)
     low, high = points.min(0), points.max(0)
-    normals, origins, along, upward, extents = [], [], [], [], []
+    middle = (low + high) / 2
+    faces = []  # normal, origin, along, up, extent
     for p, q in zip(points, np.roll(points, -1, 0)):
-        edge = q - p
+        edge, (start, rise) = q - p, (p, q - p) if p[1] <= q[1] else (q, p - q)
         length = np.hypot(*edge)
-        normals.append((edge[1] * first - edge[0] * up) / length)
-        start = p if p[1] <= q[1] else q
-        origins.append(base + start[0] * first + start[1] * up)
-        direction = (edge if p[1] <= q[1] else -edge) / length
-        along.append(sweep)
-        upward.append(direction[0] * first + direction[1] * up)
-        extents.append((2 * half, length))
+        normal, origin = (edge[1] * first - edge[0] * up) / length, base + start[0] * first + start[1] * up
+        faces.append((normal, origin, sweep, rise[0] / length * first + rise[1] / length * up, (2 * half, length)))
     for side in (-1, 1):
-        normals.append(side * sweep)
-        origins.append(base + side * half * sweep + (low[0] + high[0]) / 2 * first + low[1] * up)
-        along.append(first)
-        upward.append(up)
-        extents.append((high[0] - low[0], high[1] - low[1]))
-    centre = base + (low[0] + high[0]) / 2 * first + (low[1] + high[1]) / 2 * up
-    corners = box_corners(centre, np.stack([first, up, sweep]), np.array([*(high - low) / 2, half]))
-    faces = zip(materials, colours, normals, origins, along, upward, extents)
-    surfaces = [Surface(m, label, c, seed, n, o, a, u, e, moving) for m, c, n, o, a, u, e in faces]
-    offsets = np.array([n @ o for n, o in zip(normals, origins)])
-    return Prism(np.array(normals), offsets, corners, surfaces)
+        origin = base + side * half * sweep + middle[0] * first + low[1] * up
+        faces.append((side * sweep, origin, first, up, tuple(high - low)))
+    corners = box_corners(base + middle[0] * first + middle[1] * up, np.stack([first, up, sweep]), np.array([*(high - low) / 2, half]))
+    surfaces = [Surface(material, label, colour, seed, *face, moving) for material, colour, face in zip(materials, colours, faces)]
+    return Prism(np.array([f[0] for f in faces]), np.array([f[0] @ f[1] for f in faces]), corners, surfaces)
 
 
 def block(place: Place, size: tuple[float, float, float], material: str, label: int, colour, seed: float, above: float = 0.0) -> Prism:
@@ -167,7 +158,7 @@ def ellipsoid(centre, radii, material: str, label: int, colour, seed: float) -> 
     """An ellipsoid with its axes along the world's; `centre` and `radii` as x, y, z."""
     centre, radii = np.asarray(centre, float), np.asarray(radii, float)
     surface = Surface(material, label, colour, seed, *np.zeros((4, 3)), (1.0, 1.0))
-    return Quadric(centre, radii, -np.inf, box_corners(centre, np.eye(3), radii), surface)
+    return Quadric(centre, radii, -np.inf, box_corners(centre, np.eye(3), radii), [surface])
 
 
 def cylinder(point, radius: float, height: float, material: str, label: int, colour, seed: float) -> Quadric:
@@ -175,4 +166,4 @@ def cylinder(point, radius: float, height: float, material: str, label: int, col
     centre = np.array([point[0], 0.0, point[1]])
     surface = Surface(material, label, colour, seed, *np.zeros((4, 3)), (1.0, 1.0))
     corners = box_corners(centre - [0, height / 2, 0], np.eye(3), np.array([radius, height / 2, radius]))
-    return Quadric(centre, np.array([radius, np.inf, radius]), -height, corners, surface)
+    return Quadric(centre, np.array([radius, np.inf, radius]), -height, corners, [surface])

@@ -2,14 +2,14 @@
 
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
-from dualdepth.data.kitti import calibration_entry, numbered_lines, read_calibration
+from dualdepth.data.kitti import calibration_entry, read_calibration
 from dualdepth.errors import InputError, reading
 
 FIELD = (20.0, 150.0)
@@ -54,11 +54,8 @@ def camera_of_numbers(text: str, size: tuple[int, int]) -> Camera:
     Raises:
         InputError: no four finite numbers.
     """
-    try:
+    with reading(f"--intrinsics {text!r}", "give fx,fy,cx,cy in pixels, such as 1000,1000,959.5,539.5, or a calibration file"):
         fx, fy, cx, cy = (float(part) for part in text.split(","))
-    except ValueError:
-        mend = "give fx,fy,cx,cy in pixels, such as 1000,1000,959.5,539.5, or a calibration file"
-        raise InputError(f"--intrinsics {text!r}: {mend}") from None
     return validate(Camera(_matrix(fx, fy, cx, cy), size, "given as numbers"), "--intrinsics")
 
 
@@ -71,12 +68,10 @@ def camera_of_file(path: str | Path, size: tuple[int, int]) -> Camera:
     path, said, origin, distortion = Path(path), size, "given", ()
     if path.suffix.lower() != ".json":
         values = read_calibration(path)
-        keyless = not any(":" in line for _, line in numbered_lines(path))
-        key = "P0" if keyless else next((k for k in KEYS if k in values), KEYS[0])
+        key = next((k for k in KEYS if k in values), KEYS[0])
         matrix = calibration_entry(values, key, 12, path).reshape(3, 4)[:, :3].copy()
-        if (rectified := f"S_rect{key[-3:]}") in values and key.startswith("P_rect"):
-            width, height = calibration_entry(values, rectified, 2, path)
-            said = round(height), round(width)
+        if (rectified := key.replace("P", "S")) in values:
+            said = tuple(calibration_entry(values, rectified, 2, path)[::-1].round().astype(int))
     else:
         with reading(path, 'give {"fx": …, "fy": …, "cx": …, "cy": …} in pixels'):
             values = json.loads(path.read_text(encoding="utf-8"))
@@ -88,9 +83,8 @@ def camera_of_file(path: str | Path, size: tuple[int, int]) -> Camera:
     if len(distortion) not in (0, 4, 5, 8) or not np.isfinite(distortion).all():
         raise InputError(f"{path}: distortion has {len(distortion)} numbers; give OpenCV's k1, k2, p1, p2, k3, or none")
     if said != size:
-        raise InputError(
-            f"{path}: is of {said[1]}×{said[0]} pixels, the frames have {size[1]}×{size[0]}; calibrate with frames of the same mode"
-        )
+        sizes = f"is of {said[1]}×{said[0]} pixels, the frames have {size[1]}×{size[0]}"
+        raise InputError(f"{path}: {sizes}; calibrate with frames of the same mode")
     return validate(Camera(matrix, size, f"{origin}; read from {path.name}", distortion), str(path))
 
 
@@ -120,19 +114,17 @@ def calibrate(views: Iterable[tuple[str, np.ndarray]], squares: tuple[int, int],
     Raises:
         InputError: views of another size, too few with the whole board in sight, or corners that no camera explains within `REPROJECTION`.
     """
-    corners, patterns, seen = [], [squares, (squares[0] - 1, squares[1] - 1)], 0
+    corners, seen, patterns = [], 0, [p for p in (squares, (squares[0] - 1, squares[1] - 1)) if min(p) > 2]
     for name, image in views:
         seen += 1
         if image.shape[:2] != size:
             sizes = f"has {image.shape[1]}×{image.shape[0]} pixels, the frames have {size[1]}×{size[0]}"
             raise InputError(f"{name}: {sizes}; film both in the same mode")
         grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-        for pattern in [p for p in patterns if min(p) > 2]:
-            there, found = cv2.findChessboardCornersSB(grey, pattern, None)
-            if there:
-                patterns = [pattern]  # the same board in all views
-                corners.append(found.reshape(-1, 1, 2).astype(np.float32))
-                break
+        found = {pattern: cv2.findChessboardCornersSB(grey, pattern, None) for pattern in patterns}
+        if whole := [pattern for pattern in patterns if found[pattern][0]]:
+            patterns = whole[:1]  # the same board in all views
+            corners.append(found[whole[0]][1].reshape(-1, 1, 2).astype(np.float32))
     if len(corners) < BOARDS:
         found = f"the whole board of {squares[0]}x{squares[1]} was found in {len(corners)} of {seen} views, {BOARDS} are needed"
         mend = "check --squares, and film the board sharp, flat, tilted each way, with a white margin, wholly in sight"
@@ -157,7 +149,6 @@ def validate(camera: Camera, what: str) -> Camera:
     """
     (fx, _, cx), (_, fy, cy), _ = camera.matrix
     height, width = camera.size
-    wrong = ""
     if not np.isfinite(camera.matrix).all() or min(fx, fy) <= 0:
         wrong = "the numbers must be finite and the focal lengths above 0, in pixels"
     elif not FIELD[0] <= camera.field <= FIELD[1]:
@@ -166,23 +157,18 @@ def validate(camera: Camera, what: str) -> Camera:
         wrong = "fx and fy differ by more than a factor of two; give fx,fy,cx,cy in this order"
     elif not (0 <= cx < width and 0 <= cy < height):
         wrong = "the centre lies outside of the frame; give fx,fy,cx,cy in this order, in pixels of these frames"
-    if wrong:
-        raise InputError(f"{what}: fx {fx:g}, fy {fy:g}, cx {cx:g}, cy {cy:g} for frames of {width}×{height}: {wrong}")
-    return camera
+    else:
+        return camera
+    raise InputError(f"{what}: fx {fx:g}, fy {fy:g}, cx {cx:g}, cy {cy:g} for frames of {width}×{height}: {wrong}")
 
 
-class Straightener:
-    """Undoes a camera's distortion, in frames of the same size without black margins; `camera` is that of what it makes."""
-
-    def __init__(self, camera: Camera) -> None:
-        matrix, size, lens = camera.matrix, camera.size[::-1], np.array(camera.distortion)
-        rectified, _ = cv2.getOptimalNewCameraMatrix(matrix, lens, size, 0.0)
-        self.camera = validate(Camera(rectified, camera.size, f"{camera.origin}; frames undistorted"), "the camera after undistortion")
-        self._maps = cv2.initUndistortRectifyMap(matrix, lens, None, rectified, size, cv2.CV_16SC2)
-
-    def __call__(self, image: np.ndarray) -> np.ndarray:
-        """The straight image (H, W, 3) uint8."""
-        return cv2.remap(image, *self._maps, cv2.INTER_LINEAR)
+def straightener(camera: Camera) -> tuple[Camera, Callable[[np.ndarray], np.ndarray]]:
+    """The camera without its distortion, in frames of the same size without black margins, and what makes its images (H, W, 3) uint8."""
+    matrix, size, lens = camera.matrix, camera.size[::-1], np.array(camera.distortion)
+    rectified, _ = cv2.getOptimalNewCameraMatrix(matrix, lens, size, 0.0)
+    straight = validate(Camera(rectified, camera.size, f"{camera.origin}; frames undistorted"), "the camera after undistortion")
+    maps = cv2.initUndistortRectifyMap(matrix, lens, None, rectified, size, cv2.CV_16SC2)
+    return straight, lambda image: cv2.remap(image, *maps, cv2.INTER_LINEAR)
 
 
 def _matrix(fx: float, fy: float, cx: float, cy: float) -> np.ndarray:

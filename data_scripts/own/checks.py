@@ -4,11 +4,12 @@ Motion is optical flow on small copies (T. Kroeger et al., "Fast Optical Flow us
 bounds were set on KITTI at 10 Hz: drive 0095 and another in grey, sequences 02 and 06.
 """
 
-from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import cv2
 import numpy as np
+import pandas as pd
 from tqdm import tqdm
 
 from dualdepth.data.frames import Footage
@@ -41,6 +42,10 @@ TRAVELS = 0.15
 """Share of the median flow that no turn of the camera explains, at least: KITTI has 0.8, a camera that only turns 0.04."""
 
 
+LINKS = {"moving": "moves", "still": "still", "cuts": "cut", "gaps": "gap"}
+"""Names of the counts of pairs of neighbours, and the links that they count."""
+
+
 class Motion(NamedTuple):
     """From one frame to another."""
 
@@ -52,14 +57,9 @@ class Motion(NamedTuple):
     """Median length of what no turn of the camera explains, as a share of the median flow; NaN where nothing agrees."""
 
     @property
-    def same_place(self) -> bool:
-        """Whether the two can be neighbours of one film."""
-        return self.agrees >= SAME_PLACE
-
-    @property
-    def static(self) -> bool:
-        """Whether the camera stood still between them."""
-        return self.same_place and self.flow < STATIC
+    def link(self) -> str:
+        """`cut` (the two do not show the same place), `still` (the camera stood between them) or `moves`."""
+        return "cut" if self.agrees < SAME_PLACE else "still" if self.flow < STATIC else "moves"
 
 
 def small_copy(image: np.ndarray) -> np.ndarray:
@@ -103,15 +103,6 @@ def _not_turned(x: np.ndarray, y: np.ndarray, flow: np.ndarray, focal: float) ->
     return float(np.median(np.linalg.norm(left, axis=-1)))
 
 
-class Neighbours(NamedTuple):
-    """Two frames that follow each other, by the place of their footage and their numbers; no motion: frames between them are missing."""
-
-    footage: int
-    before: int
-    after: int
-    motion: Motion | None
-
-
 class Drive(NamedTuple):
     """Frames that follow each other without a break."""
 
@@ -125,16 +116,11 @@ class Film(NamedTuple):
     stride: int
     drives: list[Drive]
     counts: dict[str, int]
-    """read, used, standing, gaps, cuts, short."""
+    """Frames: read, used, standing, short (in pieces of fewer than three); pairs of neighbours: those of `LINKS`."""
     medians: dict[str, float]
     """flow (share of the width), agrees, travels, of neighbours that moved."""
     checks: dict[str, str]
     """By the names of the checks, in the order in which a failure explains the next: what was found and what to do; empty: passed."""
-
-    def record(self) -> dict[str, Any]:
-        """As JSON."""
-        said = {name: f"FAILED: {found}" if found else "passed" for name, found in self.checks.items()}
-        return {"stride": self.stride, "frames": self.counts, "median_motion": self.medians, "checks": said}
 
 
 def examine(footages: Sequence[Footage], focal: float, stride: int | None = None) -> Film:
@@ -147,81 +133,70 @@ def examine(footages: Sequence[Footage], focal: float, stride: int | None = None
     Raises:
         InputError: a frame cannot be read, or is of another size.
     """
-    pairs = list(measured(footages, focal, stride or 1))
+    frames = measured(footages, focal, stride or 1)
     if stride is None:
-        flows = [p.motion.flow for p in pairs if p.motion and p.motion.same_place and p.motion.flow > NOISE]
-        stride = int(np.clip(AIM / np.median(flows), 1, MOST_STRIDE)) if flows else 1
-        pairs = list(measured(footages, focal, stride)) if stride > 1 else pairs
-    drives, counts = cut_at_breaks(pairs)
-    moved = [p.motion for p in pairs if p.motion and p.motion.same_place and not p.motion.static]
-    values = np.array(moved, float).reshape(-1, 3)
-    medians = {name: round(float(np.median(values[:, k])), 4) if moved else 0.0 for k, name in enumerate(Motion._fields)}
-    medians["agrees"] = round(float(np.median([p.motion.agrees for p in pairs if p.motion and not p.motion.static] or [0.0])), 4)
-    return Film(stride, drives, counts, medians, checks(pairs, drives, counts, medians, stride))
+        flows = frames.flow[(frames.agrees >= SAME_PLACE) & (frames.flow > NOISE)]
+        stride = int(np.clip(AIM / flows.median(), 1, MOST_STRIDE)) if len(flows) else 1
+        frames = measured(footages, focal, stride) if stride > 1 else frames
+    drives, counts = cut_at_breaks(frames)
+    medians = frames[frames.link == "moves"][list(Motion._fields)].median()
+    medians["agrees"] = frames.agrees[frames.link.isin(["moves", "cut"])].median()
+    medians = medians.fillna(0.0).round(4).to_dict()
+    return Film(stride, drives, counts, medians, checks(counts, medians, stride))
 
 
-def measured(footages: Sequence[Footage], focal: float, stride: int) -> Iterator[Neighbours]:
-    """Motion between every `stride`-th frame and the next such."""
+def measured(footages: Sequence[Footage], focal: float, stride: int) -> pd.DataFrame:
+    """Every `stride`-th frame, a row each: its `footage`'s place, its `number`, its `link` to the frame before and the motion since then.
+
+    A link is one of `Motion`'s, or `first`, or `gap` where frames between the two are missing; these two have no motion (NaN).
+    """
+    rows = []
     with tqdm(total=sum(f.length for f in footages) // stride, desc=f"motion, stride {stride}", unit="frame", disable=None) as bar:
         for place, footage in enumerate(footages):
             last, copy = None, None
             for still in footage.stills(range(0, 10**9, stride)):
-                number, image = still.number, small_copy(still.image)
-                if last is not None:
-                    yield Neighbours(place, last, number, motion(copy, image, focal) if number - last == stride else None)
+                number, image, moved = still.number, small_copy(still.image), None
+                if last is not None and number - last == stride:
+                    moved = motion(copy, image, focal)
+                link = moved.link if moved else "first" if last is None else "gap"
+                rows.append((place, number, link, *(moved or [np.nan] * 3)))
                 last, copy = number, image
                 bar.update()
+    return pd.DataFrame(rows, columns=["footage", "number", "link", *Motion._fields])
 
 
-def cut_at_breaks(pairs: Sequence[Neighbours]) -> tuple[list[Drive], dict[str, int]]:
-    """Drives of at least three frames between the breaks, and what was left out, counted in frames and breaks."""
-    runs: list[list[tuple[int, int]]] = []
-    standing: set[tuple[int, int]] = set()
-    counts = {"gaps": 0, "cuts": 0}
-    for pair in pairs:
-        before, after = (pair.footage, pair.before), (pair.footage, pair.after)
-        if not runs or runs[-1][-1] != before:
-            runs.append([before])
-        if pair.motion is None:
-            counts["gaps"] += 1
-        elif not pair.motion.same_place:
-            counts["cuts"] += 1
-        elif pair.motion.static:
-            standing |= {before, after}
-        else:
-            runs[-1].append(after)
-            continue
-        runs.append([after])
-    used = [run for run in runs if len(run) >= 3]
-    left = [frame for run in runs if len(run) < 3 for frame in run]
-    counts |= {"read": sum(map(len, runs)), "used": sum(map(len, used)), "standing": len(standing.intersection(left))}
-    counts["short"] = len(left) - counts["standing"]
-    return [Drive(run[0][0], tuple(number for _, number in run)) for run in used], counts
+def cut_at_breaks(frames: pd.DataFrame) -> tuple[list[Drive], dict[str, int]]:
+    """Drives of at least three frames between the breaks of `measured` frames, and `Film.counts`."""
+    run = (frames.link != "moves").cumsum()
+    used = run.groupby(run).transform("size") >= 3
+    drives = [Drive(int(d.footage.iloc[0]), tuple(d.number.tolist())) for _, d in frames[used].groupby(run[used])]
+    still = frames.link == "still"
+    standing = int(((still | still.shift(-1, fill_value=False)) & ~used).sum())
+    counts = {"read": len(frames), "used": int(used.sum()), "standing": standing, "short": int((~used).sum()) - standing}
+    return drives, counts | {name: int((frames.link == link).sum()) for name, link in LINKS.items()}
 
 
-def checks(
-    pairs: Sequence[Neighbours], drives: Sequence[Drive], counts: dict[str, int], medians: dict[str, float], stride: int
-) -> dict[str, str]:
+def checks(counts: dict[str, int], medians: dict[str, float], stride: int) -> dict[str, str]:
     """`Film.checks`."""
     flow, agrees, travels, found = medians["flow"], medians["agrees"], medians["travels"], {}
     slower = f"lower --stride {stride}, " if stride > 1 else ""
     closer = f"{slower}take every frame of the video, film at more frames a second, or drive slower"
-    if pairs:
-        still = sum(bool(p.motion and p.motion.static) for p in pairs)
-        said = f"the camera stands still in {still} of {len(pairs)} pairs of neighbours: film while driving"
-        found["moves"] = said if still == len(pairs) else ""
-        jumps = counts["cuts"] / max(len(pairs) - still - counts["gaps"], 1)
+    if pairs := sum(counts[name] for name in LINKS):
+        said = f"the camera stands still in {counts['still']} of {pairs} pairs of neighbours: film while driving"
+        found["moves"] = counts["still"] == pairs, said
+        jumps = counts["cuts"] / max(counts["cuts"] + counts["moving"], 1)
         said = f"{jumps:.0%} of the neighbours do not show the same place, and {agrees:.0%} of a median frame is found again in the next"
-        found["consecutive"] = f"{said}: {closer}" if jumps > MOST_CUTS or agrees < CLOSE else ""
+        found["consecutive"] = jumps > MOST_CUTS or agrees < CLOSE, f"{said}: {closer}"
         said = f"the picture moves by {flow:.2%} of its width from frame to frame, {USEFUL[0]:.1%} to {USEFUL[1]:.1%} is needed"
         mend = closer if flow > USEFUL[1] else "leave --stride out, drive faster, or film what is nearer"
-        found["speed"] = "" if USEFUL[0] <= flow <= USEFUL[1] else f"{said}: {mend}"
+        found["speed"] = not USEFUL[0] <= flow <= USEFUL[1], f"{said}: {mend}"
         said = f"only {travels:.0%} of the motion is more than turning: drive or walk, do not pan, since a turn says nothing of depth"
-        found["travels"] = "" if travels >= TRAVELS else said
-    read, used = counts["read"], sum(len(d.numbers) for d in drives)
-    said = f"{read} frames at stride {stride}, {used} of them in drives of three or more ({counts['standing']} stand still,"
-    said += f" {counts['gaps']} gaps, {counts['cuts']} cuts); {FEWEST} and {FEWEST_USED} are needed: {slower}film longer without a stop"
-    return found | {"frames": "" if read >= FEWEST and used >= FEWEST_USED else said}
+        found["travels"] = travels < TRAVELS, said
+    lost = f"{counts['standing']} stand still, {counts['gaps']} gaps, {counts['cuts']} cuts"
+    said = f"{counts['read']} frames at stride {stride}, {counts['used']} of them in drives of three or more ({lost})"
+    mend = f"{FEWEST} and {FEWEST_USED} are needed: {slower}film longer without a stop"
+    found["frames"] = counts["read"] < FEWEST or counts["used"] < FEWEST_USED, f"{said}; {mend}"
+    return {name: said if failed else "" for name, (failed, said) in found.items()}
 
 
 def hold_out(drives: Sequence[Drive], count: int | None = None) -> tuple[list[Drive], Drive]:
@@ -235,6 +210,6 @@ def hold_out(drives: Sequence[Drive], count: int | None = None) -> tuple[list[Dr
     enough = [d for d in drives if len(d.numbers) >= 3 * (asked + APART)]
     chosen = enough[-1] if enough else max(reversed(drives), key=lambda d: len(d.numbers))
     held = max(1, min(asked, (len(chosen.numbers) - APART) // 2))
-    kept = Drive(chosen.footage, chosen.numbers[: max(0, len(chosen.numbers) - held - APART)])
+    kept = chosen._replace(numbers=chosen.numbers[: max(0, len(chosen.numbers) - held - APART)])
     train = [kept if d is chosen else d for d in drives]
-    return [d for d in train if len(d.numbers) >= 3], Drive(chosen.footage, chosen.numbers[-held:])
+    return [d for d in train if len(d.numbers) >= 3], chosen._replace(numbers=chosen.numbers[-held:])

@@ -8,7 +8,7 @@ found), `ROOT/own.yaml` (a profile that fits it).
 import json
 import re
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from tqdm import tqdm
 
-from data_scripts.own.camera import Camera, Straightener
+from data_scripts.own.camera import Camera
 from data_scripts.own.checks import Drive
 from dualdepth.data.frames import Footage
 from dualdepth.data.kitti import SUFFIXES
@@ -25,6 +25,8 @@ from dualdepth.files import write_text
 from dualdepth.profile import PROFILES
 from dualdepth.run import RECORD
 
+Straighten = Callable[[np.ndarray], np.ndarray]
+"""Undoes a lens's distortion in an image (H, W, 3) uint8."""
 DATE = "2000_01_01"
 """Stands where KITTI has the day of the recording; no day of KITTI's, so that its drives are never taken for KITTI's."""
 JPEG_QUALITY = 95
@@ -51,35 +53,28 @@ def fitting_size(size: tuple[int, int]) -> tuple[int, int]:
     tall, wide = (range(192, int(max(192, 1.1 * side)) + 1, 96) for side in size)
     choices = [(h, w) for h in tall for w in wide if h * w <= PIXELS]
 
-    def squeezed(choice: tuple[int, int]) -> float:
-        return float(np.exp(abs(np.log(choice[1] / choice[0] * height / width))))
-
-    alike = [c for c in choices if squeezed(c) < 1.06]
-    return max(alike, key=lambda c: c[0] * c[1]) if alike else min(choices, key=squeezed)
+    squeezed = {c: abs(np.log(c[1] / c[0] * height / width)) for c in choices}
+    alike = [c for c in choices if squeezed[c] < np.log(1.06)]
+    return max(alike, key=np.prod) if alike else min(choices, key=squeezed.get)
 
 
-def write_frames(root: Path, footages: Sequence[Footage], drives: Sequence[Drive], straighten: Straightener | None) -> None:
+def write_frames(root: Path, footages: Sequence[Footage], drives: Sequence[Drive], straighten: Straighten | None) -> None:
     """Write the drives' frames, numbered from 0: image files as they are, else JPEG; undistorted where there is a lens to undo."""
     with tqdm(total=sum(len(d.numbers) for d in drives), desc="writing frames", unit="frame", disable=None) as bar:
         for place, footage in enumerate(footages):
-            targets = {
-                n: root / drive_name(i) / "image_02" / "data" / f"{k:010d}"
-                for i, d in enumerate(drives, 1)
-                if d.footage == place
-                for k, n in enumerate(d.numbers)
-            }
+            own = [(i, d) for i, d in enumerate(drives, 1) if d.footage == place]
+            targets = {n: root / drive_name(i) / "image_02" / "data" / f"{k:010d}" for i, d in own for k, n in enumerate(d.numbers)}
             suffixes = {file.suffix.lower() for file in (footage.files or {}).values()}
             # the chain looks up a drive's suffix once
             copies = straighten is None and len(suffixes) == 1 and suffixes <= set(SUFFIXES)
             for still in footage.stills(targets):
-                target = targets[still.number]
+                target = targets[still.number].with_suffix(still.file.suffix.lower() if copies else ".jpg")
                 target.parent.mkdir(parents=True, exist_ok=True)
-                if copies and still.file:
-                    shutil.copyfile(still.file, target.with_suffix(still.file.suffix.lower()))
+                if copies:
+                    shutil.copyfile(still.file, target)
                 else:
                     image = cv2.cvtColor(straighten(still.image) if straighten else still.image, cv2.COLOR_RGB2BGR)
-                    data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]
-                    target.with_suffix(".jpg").write_bytes(data.tobytes())
+                    target.write_bytes(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes())
                 bar.update()
 
 
@@ -117,9 +112,8 @@ def read_record(root: str | Path) -> dict[str, Any] | None:
     path = Path(root) / RECORD
     if not path.is_file():
         return None
-    mend = "make the data set again with data_scripts/own_camera.py"
-    with reading(path, mend):
+    with reading(path, "make the data set again with data_scripts/own_camera.py"):
         values = json.loads(path.read_text(encoding="utf-8"))
         if min(values["camera"]["width"], values["camera"]["height"]) > 0 and isinstance(values["made_from"], str):
             return values
-    raise InputError(f"{path}: is no record of an own camera; {mend}")
+        raise ValueError("no record of an own camera")

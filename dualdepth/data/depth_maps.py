@@ -3,6 +3,7 @@
 Maps are written and read one by one, so that the 697 of the Eigen split need not be in memory together.
 """
 
+import itertools
 import zipfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -31,25 +32,19 @@ def save_ground_truth(path: str | Path, maps: Iterable[np.ndarray], names: Itera
         Number of maps written.
 
     Raises:
-        InputError: a map is not two-dimensional, there is none, or the file cannot be written.
+        InputError: the file cannot be written.
     """
-    path = Path(path)
-    count = 0
-    keys = iter(names) if names is not None else (f"{number:06d}" for number in range(10**6))
+    path, count = Path(path), 0
+    keys = iter(names) if names is not None else map("{:06d}".format, itertools.count())
     try:
-        with atomic_path(path) as partial:
-            with zipfile.ZipFile(partial, "w") as archive:
-                for depth in maps:
-                    if depth.ndim != 2:
-                        raise InputError(f"{path}: map {count} has shape {depth.shape}; expected (height, width)")
-                    # a fixed date keeps the bytes the same
-                    member = zipfile.ZipInfo(f"{next(keys)}.npy", (1980, 1, 1, 0, 0, 0))
-                    member.compress_type = zipfile.ZIP_DEFLATED
-                    with archive.open(member, "w", force_zip64=True) as file:
-                        np.lib.format.write_array(file, np.ascontiguousarray(depth, np.float32), allow_pickle=False)
-                    count += 1
-            if not count:
-                raise InputError(f"{path}: no depth maps to write")
+        with atomic_path(path) as partial, zipfile.ZipFile(partial, "w") as archive:
+            for depth in maps:
+                # a fixed date keeps the bytes the same
+                member = zipfile.ZipInfo(f"{next(keys)}.npy", (1980, 1, 1, 0, 0, 0))
+                member.compress_type = zipfile.ZIP_DEFLATED
+                with archive.open(member, "w", force_zip64=True) as file:
+                    np.lib.format.write_array(file, np.ascontiguousarray(depth, np.float32), allow_pickle=False)
+                count += 1
     except OSError as error:
         raise InputError(f"{path}: cannot write the ground truth ({error.strerror})") from None
     return count
@@ -61,24 +56,30 @@ class DepthMaps(Sequence):
     `maps[i]` is (H, W) float in metres; `maps.names` holds the keys.
     """
 
-    def __init__(self, path: Path, archive: "np.lib.npyio.NpzFile", pickled: Sequence[np.ndarray] | None) -> None:
-        self.path = path
-        self.names = list(archive.files) if pickled is None else [f"{number:06d}" for number in range(len(pickled))]
-        self._archive = archive
-        self._pickled = pickled
+    def __init__(self, path: Path, archive: "np.lib.npyio.NpzFile") -> None:
+        self.path, self.names, self._archive = path, list(archive.files), archive
+        self._stacked = None
+        if self.names == [FIELD_KEY]:
+            values = self._member(FIELD_KEY)
+            if values.dtype == object or values.ndim == 3:
+                self._stacked, self.names = values, [f"{number:06d}" for number in range(len(values))]
 
     def __len__(self) -> int:
         return len(self.names)
 
     def __getitem__(self, index: int) -> np.ndarray:
         name = self.names[index]
-        depth = _member(self.path, self._archive, name) if self._pickled is None else np.asarray(self._pickled[index])
+        depth = self._member(name) if self._stacked is None else np.asarray(self._stacked[index])
         if depth.ndim != 2 or not depth.size or depth.dtype.kind != "f":
             raise InputError(f"{self.path}: {name} is {depth.dtype} of shape {depth.shape}; expected a float array (height, width)")
         return depth
 
-    def __repr__(self) -> str:
-        return f"DepthMaps({str(self.path)!r}, {len(self)} maps)"
+    def _member(self, name: str) -> np.ndarray:
+        announced = max((info.file_size for info in self._archive.zip.infolist()), default=0)
+        if announced > LARGEST:
+            raise InputError(f"{self.path}: refused, since it unpacks to {announced / 1e9:.1f} GB; {MEND}")
+        with reading(f"{self.path}: {name}", f"{MEND}; of a pickled file whose source you trust pass --allow-pickle"):
+            return self._archive[name]
 
 
 def load_ground_truth(path: str | Path, *, allow_pickle: bool = False) -> DepthMaps:
@@ -95,26 +96,6 @@ def load_ground_truth(path: str | Path, *, allow_pickle: bool = False) -> DepthM
     path = Path(path)
     with reading(path, MEND):
         archive = np.load(path, allow_pickle=allow_pickle, encoding="latin1")
-    if not isinstance(archive, np.lib.npyio.NpzFile):
-        raise InputError(f"{path}: not an npz file; {MEND}")
-    if not archive.files:
-        raise InputError(f"{path}: holds no depth maps")
-    pickled = None
-    if archive.files == [FIELD_KEY]:
-        values = _member(path, archive, FIELD_KEY)
-        if values.dtype == object or values.ndim == 3:
-            pickled = list(values)
-    return DepthMaps(path, archive, pickled)
-
-
-def _member(path: Path, archive: "np.lib.npyio.NpzFile", name: str) -> np.ndarray:
-    announced = max((info.file_size for info in archive.zip.infolist()), default=0)
-    if announced > LARGEST:
-        raise InputError(f"{path}: refused, since it unpacks to {announced / 1e9:.1f} GB; {MEND}")
-    with reading(f"{path}: {name}", MEND):
-        try:
-            return archive[name]
-        except ValueError as error:
-            if "allow_pickle" in str(error):
-                raise InputError(f"{path}: {name} is pickled; pass --allow-pickle if you trust the source of this file") from None
-            raise
+    if not getattr(archive, "files", None):
+        raise InputError(f"{path}: not an npz file with depth maps; {MEND}")
+    return DepthMaps(path, archive)

@@ -1,6 +1,5 @@
 """Frames of any camera: a folder of images or a video file, in their order; and how they are resampled."""
 
-import hashlib
 import itertools
 import math
 import os
@@ -14,6 +13,7 @@ import numpy as np
 
 from dualdepth.data.kitti import read_image
 from dualdepth.errors import InputError
+from dualdepth.files import file_digest, short_digest
 
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # else FFmpeg tells of a damaged file in its own words as well
@@ -46,13 +46,12 @@ class Video:
         """Frames a second."""
         self.passed = 0
         """Frames that were there so far."""
+        self.convert = f"ffmpeg -i {self.path.name} -crf 17 video.mp4"
+        """What a user may do about a damaged one."""
         there, self._first = self._capture.read()
         if not there:
             self.close()
-            raise InputError(
-                f"{path}: no video that can be decoded, or one without frames;"
-                f" copy it again, or convert it: ffmpeg -i {self.path.name} -crf 17 video.mp4"
-            )
+            raise InputError(f"{path}: no video that can be decoded, or one without frames; copy it again, or convert it: {self.convert}")
 
     def frames(self, wanted: Container[int] | None = None) -> Iterator[tuple[int, np.ndarray]]:
         """Number, from 0, and picture of all frames that can be read, or of those whose numbers are wanted; others are not decoded."""
@@ -72,7 +71,7 @@ class Video:
 
     @property
     def size(self) -> tuple[int, int]:
-        """(height, width) of the first frame; files whose later frames differ are rare, but there are some."""
+        """(height, width) of the first frame; in rare files later frames differ."""
         return self._first.shape[:2]
 
     def close(self) -> None:
@@ -108,20 +107,13 @@ class Footage:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.files: dict[int, Path] | None = _numbered_images(self.path) if self.path.is_dir() else None
-        if self.files is not None:
-            self.length = len(self.files)
-        else:
-            video = self._open()
-            self.length = video.announced or 0
-            """Frames; of a video as its header says, which may be wrong."""
+        if self.files is None and (not self.path.is_file() or self.path.suffix.lower() in IMAGES):
+            raise InputError(f"{self.path}: there is no such video and no folder of frames; give one of these")
+        video = Video(self.path) if self.files is None else None
+        self.length = (video.announced or 0) if video else len(self.files)
+        """Frames; of a video as its header says, which may be wrong."""
+        if video:
             video.close()
-
-    def _open(self) -> Video:
-        if not self.path.is_file():
-            raise InputError(f"{self.path}: there is no such file or folder; give a video, or a folder of frames")
-        if self.path.suffix.lower() in IMAGES:
-            raise InputError(f"{self.path}: is a single image; give the folder of frames, or a video")
-        return Video(self.path)
 
     def stills(self, wanted: Container[int] | None = None) -> Iterator[FootageFrame]:
         """The frames in order, or those whose numbers are wanted.
@@ -129,41 +121,27 @@ class Footage:
         Raises:
             InputError: a frame cannot be read, or is of another size than the first; a video ends before its announced end.
         """
+        video = Video(self.path) if self.files is None else None
+        if video:
+            stills = (FootageFrame(number, image, None) for number, image in video.frames(wanted))
+        else:
+            files = ((number, file) for number, file in self.files.items() if wanted is None or number in wanted)
+            stills = (FootageFrame(number, read_image(file), file) for number, file in files)
         first: tuple[int, ...] = ()
-        for still in self._images(wanted) if self.files is not None else self._of_video(wanted):
-            first = first or still.image.shape
-            if still.image.shape != first:
-                raise InputError(
-                    f"{still.file or self.path}: frame {still.number} has {_size(still.image.shape)} pixels, the first one"
-                    f" {_size(first)}; give frames of one camera and one size, others in a data set of their own"
-                )
+        for still in stills:
+            size = still.image.shape[1::-1]
+            first = first or size
+            if size != first:
+                sizes = f"frame {still.number} has {size[0]}×{size[1]} pixels, the first one {first[0]}×{first[1]}"
+                raise InputError(f"{still.file or self.path}: {sizes}; give frames of one size, others in a data set of their own")
             yield still
-
-    def _images(self, wanted: Container[int] | None) -> Iterator[FootageFrame]:
-        for number, file in (self.files or {}).items():
-            if wanted is None or number in wanted:
-                yield FootageFrame(number, read_image(file), file)
-
-    def _of_video(self, wanted: Container[int] | None) -> Iterator[FootageFrame]:
-        video = self._open()
-        for number, image in video.frames(wanted):
-            yield FootageFrame(number, image, None)
-        if video.missing:
-            raise InputError(
-                f"{self.path}: {video.missing}; copy it again, or keep what is there: ffmpeg -i {self.path.name} -crf 17 video.mp4"
-            )
+        if video and video.missing:
+            raise InputError(f"{self.path}: {video.missing}; copy it again, or keep what is there: {video.convert}")
 
     def digest(self) -> str:
-        """sha256 of the names and bytes of all it is read from."""
-        total = hashlib.sha256()
-        for file in self.files.values() if self.files is not None else [self.path]:
-            with file.open("rb") as stream:
-                total.update(f"{file.name} {hashlib.file_digest(stream, 'sha256').hexdigest()}\n".encode())
-        return total.hexdigest()
-
-
-def _size(shape: tuple[int, ...]) -> str:
-    return f"{shape[1]}×{shape[0]}"
+        """Of the names and bytes of all it is read from."""
+        files = self.files.values() if self.files is not None else [self.path]
+        return short_digest(*(f"{file.name} {file_digest(file)}" for file in files))
 
 
 def _numbered_images(folder: Path) -> dict[int, Path]:
@@ -171,14 +149,13 @@ def _numbered_images(folder: Path) -> dict[int, Path]:
     files = sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGES and not path.name.startswith("."))
     if not files:
         raise InputError(f"{folder}: holds no images ({', '.join(IMAGES)}); give the folder that the frames lie in")
-    found = [re.findall(r"\d{1,20}", path.stem) for path in files]
-    numbers = [int(digits[-1]) if digits else -1 for digits in found]
+    numbers = [int((re.findall(r"\d{1,20}", path.stem) or [-1])[-1]) for path in files]
     if len(set(numbers)) < len(files):
         return dict(enumerate(files))
-    ordered = sorted(zip(numbers, files))
-    steps = [after - before for (before, _), (after, _) in itertools.pairwise(ordered)]
+    numbers, files = zip(*sorted(zip(numbers, files)))
+    steps = [after - before for before, after in itertools.pairwise(numbers)]  # no array: nanoseconds may exceed 64 bits
     usual = float(np.median(steps)) if steps else 1.0
     places = [0]
     for step in steps:  # names may be times in nanoseconds, whose steps are never quite the same
         places.append(places[-1] + (1 if 0.5 * usual < step < 1.5 * usual else max(2, round(step / usual))))
-    return {place: file for place, (_, file) in zip(places, ordered)}
+    return dict(zip(places, files))

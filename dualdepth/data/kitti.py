@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+import PIL.Image
 
 from dualdepth.errors import InputError, reading
 
@@ -84,7 +85,7 @@ def numbered_lines(path: Path) -> list[tuple[int, str]]:
     Raises:
         InputError: it cannot be read, or is no text.
     """
-    with reading(path, "give a text file in UTF-8"):
+    with reading(path, f"give a text file in UTF-8, or {AGAIN}"):
         text = path.read_text(encoding="utf-8")
     return [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
 
@@ -95,22 +96,15 @@ def check_root(root: str | Path) -> Path:
     Raises:
         InputError: it is missing or holds no `20XX_XX_XX/calib_cam_to_cam.txt`.
     """
-    root = Path(root)
-    if not root.is_dir():
-        raise InputError(f"KITTI_ROOT {root} is not a folder: give the folder that holds 2011_09_26, 2011_09_28, …")
-    if not any(root.glob("20??_??_??/calib_cam_to_cam.txt")):
-        raise InputError(f"KITTI_ROOT {root} holds no 2011_*/calib_cam_to_cam.txt: give the folder that holds the date folders")
-    return root
+    if not any(Path(root).glob("20??_??_??/calib_cam_to_cam.txt")):
+        raise InputError(f"KITTI_ROOT {root}: holds no 2011_*/calib_cam_to_cam.txt; give the folder that holds 2011_09_26, 2011_09_28, …")
+    return Path(root)
 
 
 def image_path(root: str | Path, frame: Frame) -> Path | None:
     """Path of a frame's image, PNG or JPEG, or None where there is none."""
-    folder = Path(root) / frame.drive / frame.camera / "data"
-    for suffix in SUFFIXES:
-        path = folder / f"{frame.index:010d}{suffix}"
-        if path.is_file():
-            return path
-    return None
+    paths = (Path(root) / frame.drive / frame.camera / "data" / f"{frame.index:010d}{suffix}" for suffix in SUFFIXES)
+    return next((path for path in paths if path.is_file()), None)
 
 
 def velodyne_path(root: str | Path, frame: Frame) -> Path:
@@ -160,8 +154,6 @@ def check_image(path: str | Path, data: np.ndarray | bytes) -> None:
     Raises:
         InputError: naming `path`, where the bytes are from.
     """
-    import PIL.Image
-
     with reading(path, AGAIN):
         try:
             with PIL.Image.open(io.BytesIO(data)) as image:
@@ -183,11 +175,10 @@ def read_calibration(path: str | Path) -> dict[str, np.ndarray]:
     lines, values = [line for _, line in numbered_lines(Path(path))], {}
     if not any(":" in line for line in lines):
         lines = [f"P{number}: {line}" for number, line in enumerate(lines)]
-    for line in lines:
-        key, _, rest = line.partition(":")
+    for key, _, rest in (line.partition(":") for line in lines):
         with contextlib.suppress(ValueError):
-            values[key.strip()] = np.array([float(x) for x in rest.split()])
-    values = {key: numbers for key, numbers in values.items() if numbers.size}
+            if numbers := [float(x) for x in rest.split()]:
+                values[key.strip()] = np.array(numbers)
     if not values:
         raise InputError(f"{path}: holds no `key: numbers` line; give KITTI's own calibration file")
     return values

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from dualdepth.data.kitti import Frame, check_image
+from dualdepth.data.kitti import Frame, whole_image
 from dualdepth.errors import InputError, reading
 
 CITYSCAPES = (
@@ -42,27 +42,17 @@ def read_label_map(path: str | Path) -> np.ndarray:
         (H, W) uint8: training ids 0 … 18, or 255 (ignore). Of a file with a palette the indices count, not their colours.
 
     Raises:
-        InputError: missing, damaged, no PNG, not of one channel with 8 bits, or it holds other ids.
+        InputError: missing, damaged, no PNG, of several channels or 16 bits, or it holds other ids.
     """
-    mend = "make it with data_scripts/export_labels.py"
-    with reading(path, mend):
-        data = Path(path).read_bytes()
-    if data[:8] != b"\x89PNG\r\n\x1a\n" or len(data) < 26:
-        raise InputError(f"{path}: not a PNG file ({len(data)} bytes); a label map is an 8-bit PNG of one channel")
-    bits, colour = data[24:26]  # of the header, since a reader may widen or narrow them
-    if colour not in (0, 3):
-        raise InputError(f"{path}: holds colours; give training ids 0 to 18 (Cityscapes' labelTrainIds), one 8-bit channel")
-    if bits != 8:
-        raise InputError(f"{path}: has {bits} bits a pixel; give training ids 0 to 18 (Cityscapes' labelTrainIds) in 8 bits")
-    check_image(path, data)
+    data, mend = whole_image(path), "make it with data_scripts/export_labels.py"
+    ids = f"training ids 0 to {len(CITYSCAPES) - 1} (Cityscapes' labelTrainIds), or {IGNORE}"
     with reading(path, mend), Image.open(io.BytesIO(data)) as image:
+        if image.format != "PNG" or image.mode not in ("L", "P"):
+            raise InputError(f"{path}: a {image.format} of mode {image.mode}; give a PNG of one 8-bit channel with {ids}")
         labels = np.array(image)
-    unknown = sorted(set(np.flatnonzero(np.bincount(labels.ravel(), minlength=256)).tolist()) - {*range(len(CITYSCAPES)), IGNORE})
+    unknown = sorted({*np.unique(labels).tolist()} - {*range(len(CITYSCAPES)), IGNORE})
     if unknown:
-        raise InputError(
-            f"{path}: holds {', '.join(map(str, unknown))}; training ids are 0 to {len(CITYSCAPES) - 1} and {IGNORE}."
-            " Cityscapes' raw ids (labelIds) go up to 33: give labelTrainIds"
-        )
+        raise InputError(f"{path}: holds {', '.join(map(str, unknown))}; give {ids}, not Cityscapes' raw ids (labelIds), which go up to 33")
     return labels
 
 

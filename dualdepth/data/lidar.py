@@ -9,6 +9,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import PIL.Image
 
 from dualdepth.data.kitti import AGAIN, Frame, calibration_entry, image_path, read_calibration, velodyne_path, whole_image
 from dualdepth.errors import InputError, reading
@@ -45,21 +46,14 @@ def velodyne_projection(root: str | Path, date: str, camera: str = "image_02") -
     Raises:
         InputError: a calibration file or one of its entries is missing or malformed.
     """
-    cameras, cameras_path = _calibration(root, date, "calib_cam_to_cam.txt")
-    laser, laser_path = _calibration(root, date, "calib_velo_to_cam.txt")
+    cameras_path, laser_path = (Path(root) / date / name for name in ("calib_cam_to_cam.txt", "calib_velo_to_cam.txt"))
+    cameras, laser = read_calibration(cameras_path), read_calibration(laser_path)
     to_camera, to_rectified = np.eye(4), np.eye(4)
     to_camera[:3, :3] = calibration_entry(laser, "R", 9, laser_path).reshape(3, 3)
     to_camera[:3, 3] = calibration_entry(laser, "T", 3, laser_path)
     to_rectified[:3, :3] = calibration_entry(cameras, "R_rect_00", 9, cameras_path).reshape(3, 3)
     to_pixels = calibration_entry(cameras, f"P_rect_{camera[-2:]}", 12, cameras_path).reshape(3, 4)
     return to_pixels @ to_rectified @ to_camera
-
-
-def _calibration(root: str | Path, date: str, name: str) -> tuple[dict[str, np.ndarray], Path]:
-    path = Path(root) / date / name
-    if not path.is_file():
-        raise InputError(f"{path}: missing; unpack that day's calibration ({date}_calib.zip) into the KITTI root")
-    return read_calibration(path), path
 
 
 def depth_from_scan(scan: np.ndarray, projection: np.ndarray, size: tuple[int, int], *, camera_z: bool = False) -> np.ndarray:
@@ -123,14 +117,11 @@ def map_size(root: str | Path, frame: Frame) -> tuple[int, int]:
     """
     path = image_path(root, frame)
     if path is None:
-        values, calibration = _calibration(root, frame.date, "calib_cam_to_cam.txt")
-        key = f"S_rect_{frame.camera[-2:]}"
-        width, height = calibration_entry(values, key, 2, calibration)
+        calibration, key = Path(root) / frame.date / "calib_cam_to_cam.txt", f"S_rect_{frame.camera[-2:]}"
+        width, height = calibration_entry(read_calibration(calibration), key, 2, calibration)
         if not (1 <= width <= LARGEST_SIDE and 1 <= height <= LARGEST_SIDE):
             raise InputError(f"{calibration}: {key} is {width:g} x {height:g}, which is no size of an image; {AGAIN}")
         return int(height), int(width)
-    import PIL.Image
-
     with reading(path, AGAIN), PIL.Image.open(path) as image:
         return image.height, image.width
 

@@ -44,20 +44,8 @@ def draw_crop(size: tuple[int, int], settings: Augmentation, rng: np.random.Gene
     return Crop(left, top, window_width, window_height, flip)
 
 
-def full_crop(size: tuple[int, int]) -> Crop:
-    """The whole frame of `size` (height, width)."""
-    return Crop(0, 0, size[1], size[0])
-
-
-def crop_frame(image: np.ndarray, crop: Crop, size: tuple[int, int]) -> np.ndarray:
-    """The crop of a frame (H, W, 3), resampled once to `size`."""
-    part = image[crop.top : crop.top + crop.height, crop.left : crop.left + crop.width]
-    part = resample(part, size)
-    return part[:, ::-1] if crop.flip else part
-
-
 def crop_intrinsics(matrix: np.ndarray, crop: Crop, size: tuple[int, int]) -> np.ndarray:
-    """Intrinsics (3, 3) of `crop_frame`: the principal point moves with the crop, then all scale about pixel centres."""
+    """Intrinsics (3, 3) of a crop resampled to `size`: the principal point moves with the crop, then all scale about pixel centres."""
     scale_x, scale_y = size[1] / crop.width, size[0] / crop.height
     result = matrix.astype(np.float64).copy()
     result[0, 2] = (result[0, 2] - crop.left + 0.5) * scale_x - 0.5
@@ -87,10 +75,12 @@ def augment(
     """
     if not settings.augment_first:
         size = (size[0] // 3, size[1] // 3)
-        matrix = crop_intrinsics(matrix, full_crop(frames[0].shape[:2]), size)
+        matrix = crop_intrinsics(matrix, Crop(0, 0, *frames[0].shape[1::-1]), size)
         frames = [resample(frame, size) for frame in frames]
     crop = draw_crop(frames[0].shape[:2], settings, rng)
-    return np.stack([crop_frame(frame, crop, size) for frame in frames]), crop_intrinsics(matrix, crop, size)
+    window = np.s_[crop.top : crop.top + crop.height, crop.left : crop.left + crop.width]
+    images = [resample(frame[window], size)[:, :: -1 if crop.flip else 1] for frame in frames]
+    return np.stack(images), crop_intrinsics(matrix, crop, size)
 
 
 class TripletDataset(Dataset):
@@ -111,9 +101,7 @@ class TripletDataset(Dataset):
         frames = [read_image(path) for path in triplet.paths]
         if len({frame.shape for frame in frames}) > 1:
             sizes = ", ".join(f"{f.shape[1]}×{f.shape[0]}" for f in frames)
-            raise InputError(
-                f"{triplet.paths[0]}: its triplet has frames of different sizes ({sizes}); put one camera's frames in a folder"
-            )
+            raise InputError(f"{triplet.paths[0]}: a triplet of different sizes ({sizes}); put one camera's frames in a folder")
         rng = np.random.default_rng([self.seed, epoch, index])
         images, matrix = augment(frames, triplet.intrinsics, self.hr_size, self.augmentation, rng)
         return {
@@ -139,9 +127,8 @@ class StatelessBatches(Sampler[list[tuple[int, int]]]):
         if samples < batch_size:
             raise InputError(f"{samples} training triplets are fewer than a batch of {batch_size}: add drives or lower batch_size")
         if batch_size % (accumulate * processes):
-            raise InputError(
-                f"batch_size {batch_size} cannot be shared by {accumulate} parts × {processes} processes: their product must divide it"
-            )
+            shares = f"{accumulate} parts × {processes} processes"
+            raise InputError(f"batch_size {batch_size} cannot be shared by {shares}: their product must divide it")
         self.samples, self.batch_size, self.seed = samples, batch_size, seed
         self.start, self.stop, self.accumulate = start, stop, accumulate
         self.rank, self.processes = rank, processes

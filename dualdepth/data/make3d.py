@@ -43,9 +43,7 @@ def find_pairs(root: str | Path) -> list[PhotoGrid]:
     """
     root = Path(root)
     photos, grids = _named(root, PHOTO_FOLDERS, *PHOTO), _named(root, GRID_FOLDERS, *GRID)
-    alone = [f"{photos[name].name} has no grid" for name in sorted(photos.keys() - grids.keys())]
-    alone += [f"{grids[name].name} has no photo" for name in sorted(grids.keys() - photos.keys())]
-    if alone:
+    if alone := sorted(f"{(photos | grids)[name].name} stands alone" for name in photos.keys() ^ grids.keys()):
         more = f" and {len(alone) - 3} more" if len(alone) > 3 else ""
         raise InputError(f"MAKE3D_ROOT {root}: {', '.join(alone[:3])}{more}; unpack both archives of the test set anew")
     return [PhotoGrid(name, photos[name], grids[name]) for name in sorted(photos)]
@@ -53,16 +51,12 @@ def find_pairs(root: str | Path) -> list[PhotoGrid]:
 
 def _named(root: Path, folders: Sequence[str], before: str, after: str) -> dict[str, Path]:
     """Files `<before><name><after>` by name, of the first of the folders that holds any."""
-    there = [root / folder for folder in folders if (root / folder).is_dir()]
-    for folder in there:
-        files = {path.name.removeprefix(before).removesuffix(after): path for path in folder.glob(f"{before}*{after}")}
+    for folder in folders:
+        files = {path.name.removeprefix(before).removesuffix(after): path for path in (root / folder).glob(f"{before}*{after}")}
         if files:
             return files
-    if there:
-        raise InputError(f"{there[0]}: holds no {before}*{after}; unpack Make3D's test set there (data_scripts/download_make3d.py gets it)")
-    raise InputError(
-        f"MAKE3D_ROOT {root}: holds no folder {folders[0]}; give the folder that holds {PHOTO_FOLDERS[0]} and {GRID_FOLDERS[0]}"
-    )
+    mend = f"give the folder that holds {PHOTO_FOLDERS[0]} and {GRID_FOLDERS[0]}, as data_scripts/download_make3d.py makes it"
+    raise InputError(f"MAKE3D_ROOT {root}: holds no {folders[0]}/{before}*{after}; {mend}")
 
 
 def read_grid(path: str | Path) -> np.ndarray:
@@ -77,11 +71,10 @@ def read_grid(path: str | Path) -> np.ndarray:
     from scipy.io import loadmat
 
     with reading(path, AGAIN):
-        points = loadmat(path, variable_names=[GRID_KEY]).get(GRID_KEY)
-    if points is None:
-        raise InputError(f"{path}: holds no {GRID_KEY}; give the laser grids of Make3D's test set")
+        points = loadmat(path, variable_names=[GRID_KEY]).get(GRID_KEY, np.empty(0))
     if points.shape != (*GRID_SHAPE, 4) or points.dtype.kind not in "fiu":
-        raise InputError(f"{path}: {GRID_KEY} is {points.dtype} of shape {points.shape}; expected numbers of shape {(*GRID_SHAPE, 4)}")
+        found = f"{GRID_KEY} is {points.dtype} of shape {points.shape}"
+        raise InputError(f"{path}: {found}; give a grid of Make3D's test set, numbers of shape {(*GRID_SHAPE, 4)}")
     return points[..., 3].astype(np.float64)
 
 

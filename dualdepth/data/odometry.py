@@ -60,8 +60,8 @@ def frame_files(root: str | Path, entry: str) -> dict[int, Path]:
     """
     name, camera = sequence_of(entry)
     folder = Path(root) / "sequences" / name / camera
-    files = [e.name for e in os.scandir(folder) if Path(e.name).suffix in SUFFIXES] if folder.is_dir() else []
-    numbered = {int(Path(f).stem): folder / f for f in files if Path(f).stem.isdecimal()}
+    files = [folder / name for name in os.listdir(folder)] if folder.is_dir() else []
+    numbered = {int(file.stem): file for file in files if file.suffix in SUFFIXES and file.stem.isdecimal()}
     if not numbered:
         there = sorted(p.name for p in folder.parent.glob("image_*") if p.is_dir())
         hint = f"; there is {' and '.join(there)}, say `{name}:{there[0]}`" if there else "; download the sequence first"
@@ -86,8 +86,7 @@ def sequence_intrinsics(root: str | Path, entry: str) -> np.ndarray:
 def poses_path(root: str | Path, entry: str) -> Path:
     """File of a sequence's true poses: `poses/NN.txt`, or `poses.txt` beside its images."""
     name, _ = sequence_of(entry)
-    common = Path(root) / "poses" / f"{name}.txt"
-    own = Path(root) / "sequences" / name / "poses.txt"
+    common, own = Path(root) / "poses" / f"{name}.txt", Path(root) / "sequences" / name / "poses.txt"
     return own if own.is_file() and not common.is_file() else common
 
 
@@ -204,38 +203,21 @@ def read_trajectory(path: str | Path) -> Trajectory:
 
 
 def _row(words: list[str], width: int, where: str) -> list[float]:
-    values = []
-    for word in words:
-        try:
-            values.append(float(word))
-        except ValueError:
-            raise InputError(f"{where}: {word[:20]!r} is no number; {FORMAT}, with spaces between") from None
-    if len(values) in (7, 8):
-        raise InputError(
-            f"{where}: {len(values)} numbers, which look like TUM's position and quaternion; give KITTI's 3x4 matrices: {FORMAT}"
-        )
-    if len(values) not in (12, 13):
-        raise InputError(f"{where}: {len(values)} numbers; {FORMAT}")
-    if len(values) != width:
-        raise InputError(f"{where}: {len(values)} numbers, but the first line has {width}; give all lines the frame's number, or none")
+    with reading(where, f"{FORMAT}, with spaces between"):
+        values = [float(word) for word in words]
+    if len(values) not in (12, 13) or len(values) != width:
+        tum = ", which look like TUM's position and quaternion" * (len(values) in (7, 8))
+        raise InputError(f"{where}: {len(values)} numbers{tum}, {width} in the first line; {FORMAT}, in all lines alike")
     return values
 
 
-def write_trajectory(path: str | Path, poses: np.ndarray, frames: np.ndarray | None = None) -> None:
-    """Write poses as a KITTI pose file, atomically and without loss.
-
-    Args:
-        path, poses: the file, and (N, 4, 4) or (N, 3, 4), camera to world, metres.
-        frames: (N,) frame numbers, written first in each line; without them lines have 12 numbers.
+def write_trajectory(path: str | Path, poses: np.ndarray) -> None:
+    """Write poses (N, 4, 4) or (N, 3, 4), camera to world, metres, as a KITTI pose file, atomically and without loss.
 
     Raises:
-        InputError: the numbers of frames and poses differ, or the file cannot be written.
+        InputError: the file cannot be written.
     """
-    if frames is not None and len(frames) != len(poses):
-        raise InputError(f"{path}: {len(frames)} frame numbers but {len(poses)} poses; give one for each")
     rows = [" ".join(f"{value:.17g}" for value in np.asarray(pose, np.float64)[:3].ravel()) for pose in poses]
-    if frames is not None:
-        rows = [f"{int(frame)} {row}" for frame, row in zip(frames, rows)]
     try:
         write_text(path, "".join(f"{row}\n" for row in rows))
     except OSError as error:
@@ -263,10 +245,8 @@ def pair_frames(
     ours, theirs = names
     if not prediction.indexed:
         if len(prediction.poses) != len(truth.poses):
-            raise InputError(
-                f"{ours} has {len(prediction.poses)} poses but {theirs} has {len(truth.poses)}; give one for each frame, or put the frame's"
-                " number first in each line"
-            )
+            counts = f"{ours} has {len(prediction.poses)} poses but {theirs} has {len(truth.poses)}"
+            raise InputError(f"{counts}; give one for each frame, or put the frame's number first in each line")
         return truth.frames, prediction.poses, truth.poses
     frames, at, true_at = np.intersect1d(prediction.frames, truth.frames, assume_unique=True, return_indices=True)
     if not len(frames):

@@ -1,6 +1,7 @@
 """Training triplets: a target frame and its two neighbours in time (Zhou et al.: static frames and test drives left out)."""
 
 import csv
+import functools
 import os
 from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
@@ -8,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dualdepth.data.kitti import SUFFIXES, Frame, intrinsics
+from dualdepth.data.kitti import SUFFIXES, Frame, image_path, intrinsics
 from dualdepth.errors import InputError, reading
 from dualdepth.files import atomic_path
 
@@ -54,37 +55,32 @@ def drive_triplets(
     if empty:
         raise InputError(f"{root}: no frames in {', '.join(empty)}; download these drives first")
     if not targets:
-        raise InputError(
-            f"{root}: no three consecutive moving frames in {', '.join(d for d, _ in chosen)}; training needs at least one triplet"
-        )
+        raise InputError(f"{root}: no three consecutive moving frames in {', '.join(d for d, _ in chosen)}; training needs a triplet")
     return targets
 
 
 def _frames_of(drive: Path, cameras: Sequence[str]) -> tuple[str, set[int]]:
-    for camera in cameras:
-        folder = drive / camera / "data"
-        if folder.is_dir():
-            stems = {e.name.split(".")[0] for e in os.scandir(folder) if Path(e.name).suffix in SUFFIXES}
-            indices = {int(s) for s in stems if s.isdecimal()}
-            if indices:
-                return camera, indices
-    return cameras[0], set()
+    """The first camera that a drive has, and the numbers of its frames."""
+    found = ((camera, _numbers(drive / camera / "data")) for camera in cameras)
+    return next(((camera, numbers) for camera, numbers in found if numbers), (cameras[0], set()))
+
+
+def _numbers(folder: Path) -> set[int]:
+    """Of the image files in a folder, named by ten digits."""
+    names = map(os.path.splitext, os.listdir(folder) if folder.is_dir() else [])
+    return {int(stem) for stem, suffix in names if suffix in SUFFIXES and len(stem) == 10 and stem.isdecimal()}
 
 
 def missing_neighbours(root: str | Path, targets: Iterable[Frame]) -> list[Frame]:
     """Frames of the targets' triplets that have no image file; each folder is listed once."""
-    have: dict[str, set[str]] = {}
-    missing = []
+    have: dict[Path, set[int]] = {}
+    missing: set[Frame] = set()
     for target in targets:
-        folder = f"{target.drive}/{target.camera}/data"
+        folder = Path(root) / target.drive / target.camera / "data"
         if folder not in have:
-            path = Path(root) / folder
-            have[folder] = {e.name for e in os.scandir(path)} if path.is_dir() else set()
-        for offset in (-1, 0, 1):
-            frame = target._replace(index=target.index + offset)
-            if not any(f"{frame.index:010d}{s}" in have[folder] for s in SUFFIXES):
-                missing.append(frame)
-    return sorted(set(missing))
+            have[folder] = _numbers(folder)
+        missing |= {target._replace(index=target.index + k) for k in (-1, 0, 1) if target.index + k not in have[folder]}
+    return sorted(missing)
 
 
 def missing_files_error(what: str, root: str | Path, missing: Iterable[tuple[Frame, str]]) -> InputError:
@@ -94,16 +90,14 @@ def missing_files_error(what: str, root: str | Path, missing: Iterable[tuple[Fra
         what, root: what the files are for, and where they are missing.
         missing: frames and the folder of the missing file, such as `image_02` or `velodyne_points`.
     """
-    folders: dict[str, list[int]] = {}
+    folders: dict[str, set[int]] = {}
     for frame, folder in missing:
-        folders.setdefault(f"{frame.drive}/{folder}/data", []).append(frame.index)
+        folders.setdefault(f"{frame.drive}/{folder}/data", set()).add(frame.index)
     listed = []
-    for folder, indices in sorted(folders.items()):
-        there = set(indices)
-        starts = sorted(i for i in there if i - 1 not in there)
-        ends = sorted(i for i in there if i + 1 not in there)
-        listed.append(f"{folder} " + ", ".join(f"{a:010d}" if a == b else f"{a:010d}-{b:010d}" for a, b in zip(starts, ends)))
-    count = sum(len(set(indices)) for indices in folders.values())
+    for folder, gone in sorted(folders.items()):
+        ranges = zip(sorted(i for i in gone if i - 1 not in gone), sorted(i for i in gone if i + 1 not in gone))
+        listed.append(f"{folder} " + ", ".join(f"{a:010d}" if a == b else f"{a:010d}-{b:010d}" for a, b in ranges))
+    count = sum(map(len, folders.values()))
     return InputError(f"{root}: {count} files {what} are missing: {'; '.join(listed)}; get them with data_scripts/download_kitti.py")
 
 
@@ -117,13 +111,13 @@ def write_targets(path: str | Path, root: str | Path, targets: Iterable[Frame]) 
 
 def with_suffix(root: str | Path, targets: Iterable[Frame]) -> list[tuple[Frame, str]]:
     """Targets and the suffix of their triplets' files, which is looked up once per folder."""
-    suffixes: dict[Path, str] = {}
+    suffixes: dict[tuple[str, str], str] = {}
     found = []
     for frame in targets:
-        folder = Path(root) / frame.drive / frame.camera / "data"
-        if folder not in suffixes:
-            suffixes[folder] = next((s for s in SUFFIXES if (folder / f"{frame.index:010d}{s}").is_file()), SUFFIXES[0])
-        found.append((frame, suffixes[folder]))
+        key = frame.drive, frame.camera
+        if key not in suffixes:
+            suffixes[key] = (image_path(root, frame) or Path(f"any{SUFFIXES[0]}")).suffix
+        found.append((frame, suffixes[key]))
     return found
 
 
@@ -146,11 +140,5 @@ def triplet_paths(root: str | Path, frame: Frame, suffix: str) -> tuple[Path, Pa
 
 def load_triplets(path: str | Path, root: str | Path) -> list[Triplet]:
     """Prepared triplets with full paths and intrinsics, in the list's order."""
-    cameras: dict[tuple[str, str], np.ndarray] = {}
-    triplets = []
-    for frame, suffix in read_targets(path):
-        key = frame.date, frame.camera
-        if key not in cameras:
-            cameras[key] = intrinsics(root, *key)
-        triplets.append(Triplet(str(frame), triplet_paths(root, frame, suffix), cameras[key]))
-    return triplets
+    matrix = functools.cache(functools.partial(intrinsics, root))
+    return [Triplet(str(f), triplet_paths(root, f, suffix), matrix(f.date, f.camera)) for f, suffix in read_targets(path)]

@@ -13,12 +13,8 @@ from dualdepth.errors import InputError
 @pytest.fixture(scope="module")
 def clip(tmp_path_factory):
     """MJPG in AVI, which can be read to where it is cut."""
-    path = tmp_path_factory.mktemp("clips") / "ein Film ü.avi"
-    file = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 10, (160, 90))
-    for k in range(12):
-        file.write(cv2.GaussianBlur(wall(90, 160, seed=k), (15, 15), 5))
-    file.release()
-    return path
+    frames = [cv2.GaussianBlur(wall(90, 160, seed=k), (15, 15), 5) for k in range(12)]
+    return write_video(tmp_path_factory.mktemp("clips") / "ein Film ü.avi", frames, "MJPG")
 
 
 def test_frames_that_are_wanted_are_those_of_the_whole_video(clip):
@@ -33,17 +29,16 @@ def test_frames_that_are_wanted_are_those_of_the_whole_video(clip):
 def test_what_is_no_video_is_named(tmp_path, content, capfd):
     path = tmp_path / "x.mp4"
     path.write_bytes(content)
-    with pytest.raises(InputError, match=r"x\.mp4: no video that can be decoded, or one without frames"):
+    with pytest.raises(InputError, match=r"x\.mp4: no video that can be decoded"):
         Video(path)
     assert capfd.readouterr() == ("", "")
 
 
 @pytest.mark.parametrize("share", [0.05, 0.3, 0.6, 0.95])
 def test_damaged_videos_end_or_are_refused(clip, tmp_path, share):
-    data = bytearray(clip.read_bytes())
+    data, path = bytearray(clip.read_bytes()), tmp_path / "damaged.avi"
     place = int(share * len(data))
     data[place : place + 200] = bytes(200)
-    path = tmp_path / "damaged.avi"
     path.write_bytes(data)
     try:
         assert sum(1 for _ in Video(path).frames()) <= 13
@@ -55,25 +50,21 @@ def numbers(footage):
     return [still.number for still in footage.stills()]
 
 
-def test_frames_are_ordered_by_the_last_number_in_their_names(tmp_path):
-    folder = write_frames(tmp_path / "cam2", [frame(0), frame(1), frame(2)], ["cam2_10", "cam2_9", "cam2_8"])
-    footage = Footage(folder)
-    assert [still.file.stem for still in footage.stills()] == ["cam2_8", "cam2_9", "cam2_10"]
-    assert numbers(footage) == [0, 1, 2] and footage.length == 3
-
-
 @pytest.mark.parametrize(
     ("names", "expected"),
     [
         (["f1", "f2", "f3", "f6", "f7"], [0, 1, 2, 5, 6]),
+        (["cam2_8", "cam2_9", "cam2_10", "cam2_12"], [0, 1, 2, 4]),
         (["f10", "f20", "f30", "f50", "f60"], [0, 1, 2, 4, 5]),
         ([str(1403636579763555584 + k) for k in (0, 50_000_896, 100_000_000, 149_999_616, 400_000_000)], [0, 1, 2, 3, 8]),
         (["a", "b", "c"], [0, 1, 2]),
     ],
-    ids=["a missing number is a gap", "tens", "nanoseconds whose steps differ", "no numbers"],
+    ids=["a missing number is a gap", "the last number", "tens", "nanoseconds whose steps differ", "no numbers"],
 )
-def test_names_say_which_frames_are_neighbours(tmp_path, names, expected):
-    assert numbers(Footage(write_frames(tmp_path / "f", [frame(0)] * len(names), names))) == expected
+def test_names_say_which_frames_are_neighbours_and_their_last_number_orders_them(tmp_path, names, expected):
+    footage = Footage(write_frames(tmp_path / "f", [frame(0)] * len(names), names[::-1]))
+    assert numbers(footage) == expected and footage.length == len(names)
+    assert [still.file.stem for still in footage.stills()] == names
 
 
 def test_a_video_gives_the_frames_that_were_written(tmp_path):
@@ -89,38 +80,24 @@ def test_a_video_gives_the_frames_that_were_written(tmp_path):
 
 def test_a_video_that_ends_early_is_refused_when_its_end_is_reached(clip, tmp_path):
     (tmp_path / "cut.avi").write_bytes(clip.read_bytes()[: clip.stat().st_size // 2])
-    with pytest.raises(InputError, match=r"cut\.avi: ends early: \d of 12 announced frames could be read; copy it again, or keep"):
+    with pytest.raises(InputError, match=r"cut\.avi: ends early: \d of 12 announced frames could be read"):
         list(Footage(tmp_path / "cut.avi").stills())
     assert numbers(Footage(clip)) == list(range(12))
 
 
-def test_the_digest_follows_the_bytes(tmp_path):
+def test_the_digest_follows_the_bytes_and_a_frame_of_another_size_is_named(tmp_path):
     folder = write_frames(tmp_path / "f", [frame(0), frame(1)])
     before = Footage(folder).digest()
     assert Footage(folder).digest() == before
-    write_frames(folder, [frame(0), frame(1.5)])
+    write_frames(folder, [frame(0), frame(1.5), frame(2, size=(100, 120))])
     assert Footage(folder).digest() != before
-
-
-def test_a_frame_of_another_size_is_named_with_both_sizes(tmp_path):
-    folder = write_frames(tmp_path / "f", [frame(0), frame(1), frame(2, size=(100, 120))])
     with pytest.raises(InputError, match=r"000002\.png: frame 2 has 120×100 pixels, the first one 256×216"):
         list(Footage(folder).stills())
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "said"),
-    [
-        ("nothing", None, "there is no such file or folder"),
-        ("empty", "folder", "holds no images"),
-        ("photo.png", b"", "is a single image"),
-    ],
-)
-def test_what_is_no_footage_is_named_with_what_to_do(tmp_path, name, content, said):
-    path = tmp_path / name
-    if content == "folder":
-        path.mkdir()
-    elif content is not None:
-        path.write_bytes(content)
-    with pytest.raises(InputError, match=f"{name}: .*{said}"):
-        Footage(path)
+@pytest.mark.parametrize("name", ["nothing", "empty", "photo.png"])
+def test_what_is_no_footage_is_named_with_what_to_do(tmp_path, name):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "photo.png").touch()
+    with pytest.raises(InputError, match=f"{name}: .*; give"):
+        Footage(tmp_path / name)

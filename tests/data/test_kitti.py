@@ -61,16 +61,10 @@ def test_an_empty_and_a_missing_list_are_named(listed, tmp_path):
 
 def test_static_frames_and_test_scenes_name_drives_as_lists_do(listed):
     assert read_static_frames(listed("2011_09_26 2011_09_26_drive_0001_sync 0000000005\n")) == {(DRIVE, 5)}
-    assert read_test_scenes(listed("2011_09_26_drive_0001\n2011_09_28_drive_0002\n")) == {
-        DRIVE,
-        "2011_09_28/2011_09_28_drive_0002_sync",
-    }
-
-
-@pytest.mark.parametrize("reader", [read_static_frames, read_test_scenes])
-def test_malformed_lines_of_the_other_lists_are_named_too(listed, reader):
-    with pytest.raises(InputError, match=r"list\.txt, line 1: 'nonsense'"):
-        reader(listed("nonsense\n"))
+    assert read_test_scenes(listed("2011_09_26_drive_0001\n2011_09_28_drive_0002\n")) == {DRIVE, "2011_09_28/2011_09_28_drive_0002_sync"}
+    for reader in (read_static_frames, read_test_scenes):
+        with pytest.raises(InputError, match=r"list\.txt, line 1: 'nonsense'"):
+            reader(listed("nonsense\n"))
 
 
 def test_png_is_read_as_rgb_to_the_bit(tmp_path):
@@ -114,9 +108,8 @@ def test_a_calibration_entry_keeps_its_numbers_and_rows_of_a_file_without_names_
 
 
 def test_a_root_must_hold_date_folders(tmp_path):
-    with pytest.raises(InputError, match="nowhere is not a folder"):
-        check_root(tmp_path / "nowhere")
-    with pytest.raises(InputError, match=r"holds no 2011_\*/calib_cam_to_cam\.txt"):
-        check_root(tmp_path)
+    for root in (tmp_path / "nowhere", tmp_path):
+        with pytest.raises(InputError, match=rf"KITTI_ROOT {root}: holds no 2011_\*/calib_cam_to_cam\.txt"):
+            check_root(root)
     write_calibration(tmp_path)
     assert check_root(str(tmp_path)) == tmp_path

@@ -9,13 +9,7 @@ import torch
 from small_kitti import DRIVE, write_drive
 
 from dualdepth.data.frames import resample
-from dualdepth.data.loading import (
-    StatelessBatches,
-    TripletDataset,
-    augment,
-    draw_crop,
-    make_loader,
-)
+from dualdepth.data.loading import StatelessBatches, TripletDataset, augment, draw_crop, make_loader
 from dualdepth.data.triplets import drive_triplets, load_triplets, write_targets
 from dualdepth.errors import InputError
 from dualdepth.settings import Augmentation
@@ -36,10 +30,6 @@ def dataset(kitti_root, tmp_path):
     return TripletDataset(triplets_of(kitti_root, tmp_path), HR, Augmentation(), seed=3)
 
 
-def same(a, b):
-    return torch.equal(a["images"], b["images"]) and torch.equal(a["intrinsics"], b["intrinsics"]) and a["name"] == b["name"]
-
-
 def batches(steps=range(0, 100), samples=10, batch_size=4, seed=0, **options):
     return list(StatelessBatches(samples, batch_size, seed, steps.start, steps.stop, **options))
 
@@ -47,8 +37,7 @@ def batches(steps=range(0, 100), samples=10, batch_size=4, seed=0, **options):
 def test_a_sample_is_target_previous_next_in_rgb(kitti_root, tmp_path):
     plain = TripletDataset(triplets_of(kitti_root, tmp_path), (208, 208), Augmentation(max_scale=1.0), seed=0)
     sample = plain[0, 1]
-    assert sample["images"].shape == (3, 3, 208, 208)
-    assert sample["images"].dtype == torch.uint8
+    assert sample["images"].shape == (3, 3, 208, 208) and sample["images"].dtype == torch.uint8
     assert sample["name"] == f"{DRIVE}/image_02/0000000002"
     for image, number in zip(sample["images"], (2, 1, 3)):
         file = cv2.imread(str(kitti_root / DRIVE / "image_02/data" / f"{number:010d}.png"))  # BGR
@@ -56,30 +45,20 @@ def test_a_sample_is_target_previous_next_in_rgb(kitti_root, tmp_path):
     assert sample["intrinsics"].tolist() == [[220, 0, 104], [0, 220, 104], [0, 0, 1]]
 
 
-def test_a_sample_is_fixed_by_seed_epoch_and_index(dataset):
-    assert same(dataset[1, 2], dataset[1, 2])
-    again = TripletDataset(dataset.triplets, HR, Augmentation(), seed=3)
-    assert same(again[1, 2], dataset[1, 2])
-
-
-def test_epochs_and_seeds_and_samples_draw_their_own_windows(dataset):
-    other = TripletDataset(dataset.triplets, HR, Augmentation(), seed=4)
+def test_a_sample_is_fixed_by_seed_epoch_and_index_and_each_draws_its_own_crop(dataset):
+    again, other = (TripletDataset(dataset.triplets, HR, Augmentation(), seed) for seed in (3, 4))
+    for sample in (dataset[1, 2], again[1, 2]):
+        assert all(torch.equal(sample[key], dataset[1, 2][key]) for key in ("images", "intrinsics"))
     draws = [dataset[0, 0], dataset[1, 0], dataset[2, 0], other[0, 0], dataset[0, 1]]
     assert len({tuple(d["intrinsics"].flatten().tolist()) for d in draws}) == len(draws)
 
 
-def test_an_epoch_shows_every_triplet_once():
+def test_an_epoch_shows_every_triplet_once_but_an_incomplete_last_batch_in_an_order_of_its_own():
     epoch = [key for batch in batches(range(0, 3), samples=12) for key in batch]
     assert Counter(epoch) == Counter((0, i) for i in range(12))
-
-
-def test_an_incomplete_last_batch_is_left_out():
     found = batches(range(0, 4), samples=10)
     assert [{epoch for epoch, _ in batch} for batch in found] == [{0}, {0}, {1}, {1}]
     assert all(len(set(batch)) == 4 for batch in found)
-
-
-def test_epochs_and_seeds_have_their_own_order():
     orders = [tuple(i for b in batches(range(2 * e, 2 * e + 2), samples=8, seed=s) for _, i in b) for s in (0, 1) for e in (0, 1)]
     assert len(set(orders)) == 4
 
@@ -131,11 +110,11 @@ def project(matrix, point):
     return np.array([u / w, v / w])
 
 
-def picture_of(point, size=RAW, matrix=K, spread=4.0):
+def picture_of(point):
     """A bright blob where the camera sees a 3-D point, on black."""
-    u, v = project(matrix, point)
-    rows, columns = np.mgrid[: size[0], : size[1]]
-    blob = 250 * np.exp(-((columns - u) ** 2 + (rows - v) ** 2) / (2 * spread**2))
+    u, v = project(K, point)
+    rows, columns = np.mgrid[: RAW[0], : RAW[1]]
+    blob = 250 * np.exp(-((columns - u) ** 2 + (rows - v) ** 2) / 32)
     return np.repeat(np.rint(blob).astype(np.uint8)[..., None], 3, axis=2)
 
 
@@ -170,29 +149,21 @@ def test_crops_show_between_all_and_1_over_max_scale_of_the_frame_in_each_direct
     rng = np.random.default_rng(0)
     crops = [draw_crop((375, 1242), Augmentation(max_scale=1.15), rng) for _ in range(300)]
     widths, heights = np.array([c.width for c in crops]), np.array([c.height for c in crops])
-    assert 1242 / 1.15 - 0.5 <= widths.min() < 1242 / 1.14
-    assert 1242 / 1.01 < widths.max() <= 1242
-    assert 375 / 1.15 - 0.5 <= heights.min() < 375 / 1.14
-    assert 375 / 1.01 < heights.max() <= 375
+    for shown, side in ((widths, 1242), (heights, 375)):
+        assert side / 1.15 - 0.5 <= shown.min() < side / 1.14 and side / 1.01 < shown.max() <= side
     assert abs(np.corrcoef(widths, heights)[0, 1]) < 0.2  # x and y are drawn independently
     assert all(0 <= c.left <= 1242 - c.width and 0 <= c.top <= 375 - c.height for c in crops)
-    assert len({c.left for c in crops}) > 30
-    assert not any(c.flip for c in crops)
+    assert len({c.left for c in crops}) > 30 and not any(c.flip for c in crops)
 
 
-def test_without_enlargement_the_whole_frame_is_shown():
+def test_without_enlargement_the_whole_frame_is_shown_and_a_triplet_through_one_crop():
     frame = np.random.default_rng(0).integers(0, 256, (*RAW, 3), np.uint8)
     images, matrix = augment([frame], K, (96, 288), Augmentation(max_scale=1.0), np.random.default_rng(5))
     assert np.array_equal(images[0], cv2.resize(frame, (288, 96), interpolation=cv2.INTER_AREA))
     assert np.allclose(matrix[0], [190 * 288 / 330, 0, (171.3 + 0.5) * 288 / 330 - 0.5])
     assert np.allclose(matrix[1], [0, 205 * 0.96, (46.8 + 0.5) * 0.96 - 0.5])
-
-
-def test_the_frames_of_a_triplet_are_shown_through_one_crop():
-    frame = np.random.default_rng(0).integers(0, 256, (*RAW, 3), np.uint8)
     images, _ = augment([frame, frame, frame], K, (96, 288), Augmentation(beyond_paper_flip=True), np.random.default_rng(1))
-    assert np.array_equal(images[0], images[1])
-    assert np.array_equal(images[0], images[2])
+    assert np.array_equal(images[0], images[1]) and np.array_equal(images[0], images[2])
 
 
 def test_shrinking_averages_instead_of_skipping_pixels():

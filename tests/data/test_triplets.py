@@ -21,23 +21,21 @@ def numbers(targets):
     return [frame.index for frame in targets]
 
 
-def test_targets_have_both_neighbours_in_number(root):
+def test_targets_have_both_neighbours_in_number_of_the_same_drive_and_none_is_static(root):
     assert numbers(drive_triplets(root, [DRIVE])) == [1, 2, 6, 7]
-
-
-def test_a_triplet_holds_no_static_frame(root):
     assert numbers(drive_triplets(root, [DRIVE], static={(DRIVE, 3), (OTHER, 6)})) == [1, 6, 7]
-
-
-def test_neighbours_are_of_the_same_drive(root):
+    third = "2011_09_26/2011_09_26_drive_0003_sync"
     write_drive(root, [4, 5], OTHER, size=(8, 8))
-    write_drive(root, [9], "2011_09_26/2011_09_26_drive_0003_sync", size=(8, 8))
-    assert {f.drive for f in drive_triplets(root, [DRIVE, OTHER, "2011_09_26/2011_09_26_drive_0003_sync"])} == {DRIVE}
+    write_drive(root, [9], third, size=(8, 8))
+    assert {f.drive for f in drive_triplets(root, [DRIVE, OTHER, third])} == {DRIVE}
+    with pytest.raises(InputError, match="no three consecutive moving frames"):
+        drive_triplets(root, [OTHER])
 
 
-def test_a_test_drive_is_refused_by_name(root):
+@pytest.mark.parametrize("entry", [DRIVE, f"{DRIVE}:image_00"])
+def test_a_test_drive_is_refused_by_name(root, entry):
     with pytest.raises(InputError, match=f"training drives {DRIVE} hold test frames"):
-        drive_triplets(root, [DRIVE], test_scenes={DRIVE})
+        drive_triplets(root, [entry], test_scenes={DRIVE})
 
 
 def test_all_drives_without_frames_are_named_in_one_message(root):
@@ -45,30 +43,13 @@ def test_all_drives_without_frames_are_named_in_one_message(root):
         drive_triplets(root, [DRIVE, OTHER, "2011_09_26/elsewhere"])
 
 
-def test_a_drive_without_three_consecutive_frames_is_an_error(root):
-    write_drive(root, [1, 2, 4, 5], OTHER, size=(8, 8))
-    with pytest.raises(InputError, match="no three consecutive moving frames"):
-        drive_triplets(root, [OTHER])
-
-
-def test_the_first_camera_that_a_drive_has_is_read(root):
-    write_drive(root, [0, 1, 2], OTHER, size=(8, 8), camera="image_00")
+def test_the_first_camera_that_has_frames_is_read_or_the_one_that_a_drive_names(root):
+    for drive in (DRIVE, OTHER):
+        write_drive(root, [0, 1, 2], drive, size=(8, 8), camera="image_00")
+    (root / OTHER / "image_02" / "data").mkdir(parents=True)
     found = drive_triplets(root, [DRIVE, OTHER], cameras=("image_02", "image_00"))
     assert {(f.drive, f.camera) for f in found} == {(DRIVE, "image_02"), (OTHER, "image_00")}
-
-
-def test_a_drive_can_name_its_own_camera(root):
-    write_drive(root, [0, 1, 2], DRIVE, size=(8, 8), camera="image_00")
-    found = drive_triplets(root, [f"{DRIVE}:image_00"], cameras=("image_02", "image_00"))
-    assert found == [Frame(DRIVE, 1, "image_00")]
-    with pytest.raises(InputError, match="hold test frames"):
-        drive_triplets(root, [f"{DRIVE}:image_00"], test_scenes={DRIVE})
-
-
-def test_an_empty_camera_folder_is_passed_over(root):
-    write_drive(root, [0, 1, 2], OTHER, size=(8, 8), camera="image_00")
-    (root / OTHER / "image_02" / "data").mkdir(parents=True)
-    assert numbers(drive_triplets(root, [OTHER], cameras=("image_02", "image_00"))) == [1]
+    assert drive_triplets(root, [f"{DRIVE}:image_00"], cameras=("image_02", "image_00")) == [Frame(DRIVE, 1, "image_00")]
 
 
 def test_one_message_names_all_missing_files_in_one_line(root):
@@ -95,9 +76,9 @@ def test_written_targets_read_back_as_triplets_of_real_files(tmp_path, suffix):
         assert triplet.paths == tuple(image_path(tmp_path, frame._replace(index=frame.index + o)) for o in (0, -1, 1))
 
 
-def test_a_list_that_was_not_prepared_names_the_notebook(tmp_path):
-    with pytest.raises(InputError, match=r"triplets\.csv: .*02_prepare_data"):
-        load_triplets(tmp_path / "triplets.csv", tmp_path)
-    (tmp_path / "triplets.csv").write_text("a,b\n1,2\n")
+@pytest.mark.parametrize("content", [None, "a,b\n1,2\n"])
+def test_a_list_that_was_not_prepared_names_the_notebook(tmp_path, content):
+    if content:
+        (tmp_path / "triplets.csv").write_text(content)
     with pytest.raises(InputError, match=r"triplets\.csv: .*02_prepare_data"):
         load_triplets(tmp_path / "triplets.csv", tmp_path)

@@ -40,14 +40,8 @@ class _Handler(http.server.BaseHTTPRequestHandler):
     def log_message(self, *_: object) -> None:
         pass
 
-    def do_HEAD(self) -> None:
-        self._serve(with_body=False)
-
     def do_GET(self) -> None:
-        self._serve(with_body=True)
-
-    def _serve(self, with_body: bool) -> None:
-        server, path, asked = self.server, self.path.lstrip("/"), self.headers["Range"]
+        server, path, asked, with_body = self.server, self.path.lstrip("/"), self.headers["Range"], self.command == "GET"
         log = [self.command, path, asked, 0]
         failure = server.failures.pop(0) if with_body and server.failures else None
         if failure or path not in server.files:
@@ -77,6 +71,9 @@ class _Handler(http.server.BaseHTTPRequestHandler):
         if with_body:
             self.wfile.write(body)
         self.close_connection = True
+
+    def do_HEAD(self) -> None:
+        self.do_GET()
 
 
 @pytest.fixture

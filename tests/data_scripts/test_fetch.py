@@ -2,10 +2,12 @@
 
 import errno
 import hashlib
+import io
 import socket
 import urllib.request
 
 import pytest
+from tqdm import tqdm
 
 import data_scripts.fetch as module
 from data_scripts.fetch import fetch, remote_size
@@ -42,13 +44,17 @@ def test_a_cut_connection_is_resumed_and_only_the_rest_is_sent(server, tmp_path)
     assert [asked for _, _, asked, _ in server.requests] == [None, "bytes=700000-", "bytes=1000000-"]
 
 
-def test_a_second_run_goes_on_where_the_first_gave_up(server, tmp_path):
+@pytest.mark.parametrize("changed", [False, True])
+def test_a_second_run_goes_on_where_the_first_gave_up_unless_the_file_changed(server, tmp_path, changed):
     server.cuts = [500_000, 0, 0, 0]
     with pytest.raises(InputError, match=r"keeps breaking .* run again, it goes on after 0\.5 MB"):
         get(server, tmp_path)
     assert left_over(tmp_path) == ["file.bin.part", "file.bin.part.etag"]
-    assert get(server, tmp_path, digest=SHA256).read_bytes() == CONTENT
-    assert server.sent[-1] == len(CONTENT) - 500_000
+    if changed:
+        server.files["file.bin"], server.etags["file.bin"] = CONTENT[::-1], '"second"'
+    bar = tqdm(initial=500_000, file=io.StringIO())
+    assert get(server, tmp_path, bar=bar).read_bytes() == server.files["file.bin"]
+    assert server.sent[-1] == len(CONTENT) - (0 if changed else 500_000) and bar.n == len(CONTENT)
 
 
 def test_bytes_that_come_reset_the_patience(server, tmp_path):
@@ -56,30 +62,22 @@ def test_bytes_that_come_reset_the_patience(server, tmp_path):
     assert get(server, tmp_path, digest=SHA256).read_bytes() == CONTENT
 
 
-def test_a_run_stopped_just_before_the_end_downloads_nothing_again(server, tmp_path):
-    (tmp_path / "file.bin.part").write_bytes(CONTENT)
-    (tmp_path / "file.bin.part.etag").write_text('"first"')
+@pytest.mark.parametrize(
+    ("part", "mark", "sent"),
+    [(CONTENT, '"first"', 0), (b"of who knows what", "", len(CONTENT)), (CONTENT + b"more", '"first"', len(CONTENT))],
+    ids=["stopped just before the end", "without a mark of the version", "beyond the end"],
+)
+def test_a_part_of_another_run_is_taken_for_what_it_is(server, tmp_path, part, mark, sent):
+    (tmp_path / "file.bin.part").write_bytes(part)
+    (tmp_path / "file.bin.part.etag").write_text(mark)
     assert get(server, tmp_path, digest=SHA256).read_bytes() == CONTENT
-    assert sum(server.sent) == 0
+    assert sum(server.sent) == sent and left_over(tmp_path) == ["file.bin"]
 
 
 def test_a_server_without_ranges_starts_over(server, tmp_path):
     server.ranges, server.cuts = False, [500_000]
     assert get(server, tmp_path, digest=SHA256).read_bytes() == CONTENT
     assert server.sent == [500_000, len(CONTENT)]
-
-
-def test_a_file_that_changed_on_the_server_starts_over(server, tmp_path):
-    server.cuts = [500_000, 0, 0, 0]
-    with pytest.raises(InputError):
-        get(server, tmp_path)
-    server.files["file.bin"], server.etags["file.bin"] = CONTENT[::-1], '"second"'
-    assert get(server, tmp_path).read_bytes() == CONTENT[::-1]
-
-
-def test_without_a_mark_of_the_version_a_part_is_not_trusted(server, tmp_path):
-    (tmp_path / "file.bin.part").write_bytes(b"of who knows what")
-    assert get(server, tmp_path, digest=SHA256).read_bytes() == CONTENT
 
 
 def test_a_failing_server_is_asked_again(server, tmp_path):

@@ -1,5 +1,6 @@
 """The written world: KITTI's layout and formats read by the readers of real KITTI, the same bytes twice, made once."""
 
+import functools
 import json
 import shutil
 
@@ -19,40 +20,37 @@ from dualdepth.files import locked
 from dualdepth.profile import load_profile
 from dualdepth.settings import World
 
-SETTINGS = {
-    "size": (48, 152),
-    "supersample": 2,
-    "train_drives": 2,
-    "frames_per_drive": 8,
-    "static_frames": 4,
-    "laser_train_frames": 2,
-    "azimuth_step": 1.0,
-    "test_drives": 1,
+SIZES = {"size": (48, 152), "frames_per_drive": 8, "static_frames": 4, "laser_train_frames": 2, "azimuth_step": 1.0, "test_drives": 1}
+SIZES |= {
     "test_frames": 2,
-    "odometry_train": 1,
-    "odometry_test": 1,
     "odometry_frames": 4,
     "odometry_spacing": 20.0,
+    "odometry_path": 251.0,
     "make3d_images": 1,
     "make3d_size": (140, 105),
 }
-WORLD = World(**SETTINGS)
-LEAST = World(
-    **SETTINGS | {"train_drives": 1, "frames_per_drive": 3, "static_frames": 2, "test_frames": 1, "odometry_train": 0, "odometry_test": 0}
+WORLD = load_profile("tiny").world.model_copy(update=SIZES | {"odometry_test": 1})
+LEAST = WORLD.model_copy(
+    update={"train_drives": 1, "frames_per_drive": 3, "static_frames": 2, "test_frames": 1, "odometry_train": 0, "odometry_test": 0}
 )
 
 
 @pytest.fixture(scope="module")
-def root(tmp_path_factory):
+def make():
+    return functools.partial(make_miniature.make_world, processes=1)
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory, make):
     out = tmp_path_factory.mktemp("world") / "miniature"
-    assert make_miniature.make_world(WORLD, out, progress=False, processes=1)
+    assert make(WORLD, out)
     return out
 
 
 @pytest.fixture(scope="module")
-def least(tmp_path_factory):
+def least(tmp_path_factory, make):
     out = tmp_path_factory.mktemp("least") / "miniature"
-    make_miniature.make_world(LEAST, out, progress=False, processes=1)
+    make(LEAST, out)
     return out
 
 
@@ -78,33 +76,20 @@ def test_lists_name_what_is_there_and_the_readers_of_kitti_read_it(root):
     assert len(list(raw.rglob("*.bin"))) == len(test) + len(laser)
 
 
-def test_laser_ground_truth_of_the_field_agrees_with_dense_depth(root):
-    for frame in kitti.read_frame_list(root / "lists" / "test_files.txt"):
-        sparse = ground_truth(root / "kitti_raw", frame)
-        dense = np.load(root / "dense_depth" / frame.drive.split("/")[1] / f"{frame.index:010d}.npy")
-        # The field's map is shifted by a pixel and holds laser-forward depth (docs/protocols.md): compare with the neighbours.
-        rows, columns = np.nonzero(sparse)
-        inside = (rows < WORLD.size[0] - 2) & (columns < WORLD.size[1] - 2)
-        rows, columns = rows[inside], columns[inside]
-        around = np.stack([dense[rows + i, columns + j] for i in (0, 1, 2) for j in (0, 1, 2)])
-        laser = sparse[rows, columns]
-        low, high = np.where(around > 0, around, np.inf).min(0), around.max(0)
-        assert rows.size > 300
-        assert ((laser > 0.94 * low - 0.4) & (laser < 1.06 * high + 0.4)).mean() > 0.95
-
-
-def test_every_test_frame_has_labels_and_depth_that_fit_together(root):
-    known = {0, 1, 2, 4, 5, 7, 8, 9, 10, 13}
+def test_every_test_frame_has_labels_depth_and_laser_ground_truth_that_fit_together(root):
     for frame in kitti.read_frame_list(root / "lists" / "test_files.txt"):
         drive = frame.drive.split("/")[1]
         labels = cv2.imread(str(root / "labels" / drive / f"{frame.index:010d}.png"), cv2.IMREAD_UNCHANGED)
-        depth = np.load(root / "dense_depth" / drive / f"{frame.index:010d}.npy")
-        assert labels.dtype == np.uint8
-        assert labels.shape == depth.shape == WORLD.size
-        assert set(np.unique(labels)) <= known
-        assert {0, 1, 8, 10} <= set(np.unique(labels))
-        assert ((labels == 10) == (depth == 0)).all()
-        assert (depth[labels == 0] < 400).all()
+        dense = np.load(root / "dense_depth" / drive / f"{frame.index:010d}.npy")
+        assert labels.dtype == np.uint8 and labels.shape == dense.shape == WORLD.size
+        assert {0, 1, 8, 10} <= set(np.unique(labels)) <= {0, 1, 2, 4, 5, 7, 8, 9, 10, 13}
+        assert ((labels == 10) == (dense == 0)).all() and (dense[labels == 0] < 400).all()
+        # The field's map is shifted by a pixel and holds laser-forward depth (docs/protocols.md): compare with the neighbours.
+        sparse = ground_truth(root / "kitti_raw", frame)[: WORLD.size[0] - 2, : WORLD.size[1] - 2]
+        rows, columns = np.nonzero(sparse)
+        around = np.stack([dense[rows + i, columns + j] for i in (0, 1, 2) for j in (0, 1, 2)])
+        low, high, laser = np.where(around > 0, around, np.inf).min(0), around.max(0), sparse[rows, columns]
+        assert rows.size > 300 and ((laser > 0.94 * low - 0.4) & (laser < 1.06 * high + 0.4)).mean() > 0.95
 
 
 def test_camera_stands_still_where_the_static_list_says_and_nowhere_else(root):
@@ -171,13 +156,32 @@ def test_training_drives_show_the_turns_of_the_sequences_that_are_scored(tmp_pat
     assert np.percentile(np.abs(np.concatenate(train)), 95) >= np.percentile(np.abs(np.concatenate(scored)), 95)
 
 
-def test_same_settings_give_the_same_bytes_also_in_several_processes(least, tmp_path):
-    make_miniature.make_world(LEAST, tmp_path / "again", progress=False, processes=2)
+GOLDEN = {
+    "kitti_raw/2019_10_27/2019_10_27_drive_0001_sync/image_02/data/0000000000.png": (100.3159, 46.6250),
+    "kitti_raw/2019_10_27/2019_10_27_drive_0101_sync/image_02/data/0000000000.png": (99.9789, 51.1496),
+    "labels/2019_10_27_drive_0101_sync/0000000000.png": (4.1246, 4.4236),
+    "make3d/Test134/img-mini-p-000t000.jpg": (120.3350, 65.0760),
+}
+"""Mean and standard deviation of pictures, as they were when numbers of such worlds were published."""
+
+
+def test_the_world_is_still_the_one_that_the_published_numbers_are_of(least):
+    found = {name: kitti.read_image(least / name) for name in GOLDEN}
+    assert {name: (image.mean(), image.std()) for name, image in found.items()} == {
+        k: pytest.approx(v, abs=0.01) for k, v in GOLDEN.items()
+    }
+    assert np.load(least / "dense_depth/2019_10_27_drive_0101_sync/0000000000.npy").mean() == pytest.approx(21.9885, abs=1e-3)
+    scan = np.fromfile(least / "kitti_raw/2019_10_27/2019_10_27_drive_0101_sync/velodyne_points/data/0000000000.bin", "<f4").reshape(-1, 4)
+    assert len(scan) == 6047 and scan.mean(0) == pytest.approx([13.2925, 0.8576, -1.2287, 0.3209], abs=1e-3)
+
+
+def test_same_settings_give_the_same_bytes_also_in_several_processes(least, tmp_path, make):
+    make(LEAST, tmp_path / "again", processes=2)
     assert contents(tmp_path / "again") == contents(least)
 
 
-def test_other_seeds_give_other_streets_on_their_side_only(least, tmp_path):
-    make_miniature.make_world(LEAST.model_copy(update={"test_seed": 7}), tmp_path / "other", progress=False, processes=1)
+def test_other_seeds_give_other_streets_on_their_side_only(least, tmp_path, make):
+    make(LEAST.model_copy(update={"test_seed": 7}), tmp_path / "other")
     one, other = contents(least), contents(tmp_path / "other")
     assert one.keys() == other.keys()
     changed = {name for name in one if one[name] != other[name]}
@@ -186,41 +190,27 @@ def test_other_seeds_give_other_streets_on_their_side_only(least, tmp_path):
     assert not {name for name in pictures if "_drive_00" in name} & changed
 
 
-def test_world_that_is_there_is_not_made_again_and_another_one_is_replaced(least, tmp_path, capsys):
+def test_a_world_that_is_there_is_not_made_again_and_another_one_is_replaced_or_stays_whole(least, tmp_path, monkeypatch, make, capsys):
     out = tmp_path / "w"
-    out.mkdir()
-    assert make_miniature.make_world(LEAST, out, progress=False, processes=1)
-    assert not make_miniature.make_world(LEAST, out, progress=False, processes=1)
-    assert "there already" in capsys.readouterr().out
+    shutil.copytree(least, out)
+    (tmp_path / ".w.part" / "rest").mkdir(parents=True)  # of a killed run
+    assert not make(LEAST, out) and "there already" in capsys.readouterr().out
     fewer = LEAST.model_copy(update={"make3d_images": 0})
-    assert make_miniature.make_world(fewer, out, progress=False, processes=1)
-    assert not list(out.rglob("*.mat"))
+    with monkeypatch.context() as patch, pytest.raises(ZeroDivisionError):
+        patch.setattr(make_miniature, "write_shot", lambda _: 1 / 0)
+        make(fewer, out)
+    assert contents(out) == contents(least)
+    with locked(tmp_path / ".w.lock"), pytest.raises(InputError, match="held by process"):
+        make(fewer, out)
+    assert make(fewer, out) and not list(out.rglob("*.mat"))
     assert json.loads((out / "world.json").read_text())["settings"]["make3d_images"] == 0
     assert {path.name for path in tmp_path.iterdir()} == {"w", ".w.lock"}
 
 
-def test_failure_leaves_the_old_world_and_nothing_half_written(least, tmp_path, monkeypatch):
-    out = tmp_path / "w"
-    (tmp_path / ".w.part" / "rest").mkdir(parents=True)  # of a killed run
-    shutil.copytree(least, out)
-    before = contents(out)
-
-    def fail(shot):
-        raise OSError("disk full")
-
-    monkeypatch.setattr(make_miniature, "write_shot", fail)
-    with pytest.raises(OSError, match="disk full"):
-        make_miniature.make_world(LEAST.model_copy(update={"make3d_images": 0}), out, progress=False, processes=1)
-    assert contents(out) == before
-    assert {path.name for path in tmp_path.iterdir()} == {"w", ".w.lock"}
-    with locked(tmp_path / ".w.lock"), pytest.raises(InputError, match="held by process"):
-        make_miniature.make_world(LEAST, out, progress=False, processes=1)
-
-
-def test_folder_with_something_else_is_refused_and_kept(tmp_path):
-    (tmp_path / "thesis.tex").write_text("years of work")
+def test_folder_with_something_else_is_refused_and_kept(tmp_path, make):
+    (tmp_path / "thesis.tex").touch()
     with pytest.raises(InputError, match="is no world"):
-        make_miniature.make_world(LEAST, tmp_path, progress=False, processes=1)
+        make(LEAST, tmp_path)
     assert (tmp_path / "thesis.tex").exists()
 
 

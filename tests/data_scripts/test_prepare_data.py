@@ -38,39 +38,24 @@ def prepared(project):
     return prepare_data.prepare(run)
 
 
-def test_ground_truth_is_in_the_order_of_the_list(project):
-    run, _, _ = project
+def test_ground_truth_is_in_the_order_of_the_list_and_training_frames_with_a_scan_fit_the_baselines(project, write_scan):
+    run, kitti, _ = project
     assert prepared(project) == (4, 2, 2, 0, 0)
     maps = load_ground_truth(run.prepared / "ground_truth.npz")
     frames = json.loads((run.prepared / "test_frames.json").read_text())["frames"]
-    assert [frame[1] for frame in frames] == [0, 2]
-    assert len(maps) == 2 and all((depth > 0).any() for depth in maps)
-
-
-def test_training_frames_with_a_scan_fit_the_baselines(project, write_scan):
-    run, kitti, _ = project
+    assert [frame[1] for frame in frames] == [0, 2] and len(maps) == 2 and all((depth > 0).any() for depth in maps)
     write_scan(kitti, TRAIN, 2)
-    assert prepared(project).baseline == 1
-    assert len(load_ground_truth(run.prepared / "baseline_truth.npz")) == 1
+    assert prepared(project).baseline == len(load_ground_truth(run.prepared / "baseline_truth.npz")) == 1
 
 
-def test_frames_to_score_that_are_missing_are_all_named_in_one_line(project):
+def test_frames_to_score_that_are_missing_are_all_named_in_one_line_or_allowed_and_counted(project):
     run, _kitti, test_list = project
     test_list.write_text(test_list.read_text() + f"{TEST} 0000000007 l\n{TEST} 0000000008 l\n")
-    with pytest.raises(
-        InputError, match=r"4 files to score .*image_02/data 0000000007-0000000008; .*velodyne_points/data 0000000007-0000000008"
-    ):
+    with pytest.raises(InputError, match=r"4 files .*image_02/data 0000000007-0000000008; .*velodyne_points/data 0000000007-0000000008"):
         prepared(project)
     assert not (run.prepared / "ground_truth.npz").exists()
-
-
-def test_an_incomplete_list_can_be_allowed_and_is_counted(project):
-    run, _kitti, test_list = project
-    test_list.write_text(test_list.read_text() + f"{TEST} 0000000007 l\n")
-    data = run.profile.data.model_copy(update={"allow_missing": True})
-    run.profile = run.profile.model_copy(update={"data": data})
-    done = prepared(project)
-    assert (done.scored, done.listed) == (2, 3)
+    run.profile = run.profile.model_copy(update={"data": run.profile.data.model_copy(update={"allow_missing": True})})
+    assert prepared(project)[1:3] == (2, 4)
 
 
 def test_a_drive_cannot_be_both_trained_on_and_scored(project, write_scan):
@@ -81,16 +66,9 @@ def test_a_drive_cannot_be_both_trained_on_and_scored(project, write_scan):
         prepared(project)
 
 
-@pytest.mark.parametrize(
-    ("option", "value", "said"),
-    [
-        ("--kitti-root", "nowhere", "KITTI_ROOT nowhere is not a folder"),
-        ("--test-list", "nowhere.txt", "nowhere.txt: no such file"),
-        ("--seeds", "0;1", "seeds '0;1': give whole numbers from 0 up between commas"),
-    ],
-)
-def test_reproduce_refuses_bad_arguments_in_one_line(option, value, said, refused):
-    assert said in refused(command, ["reproduce", option, value])
+@pytest.mark.parametrize(("option", "value"), [("--kitti-root", "nowhere"), ("--test-list", "nowhere.txt"), ("--seeds", "0;1")])
+def test_reproduce_refuses_bad_arguments_in_one_line(option, value, refused):
+    assert value in refused(command, ["reproduce", option, value])
 
 
 def test_the_sample_profile_on_real_frames(real, checkout):
@@ -119,28 +97,26 @@ def test_every_frame_is_decoded_once(project, monkeypatch):
     assert seen == Counter([*(image_of(kitti, TRAIN, k) for k in range(6)), image_of(kitti, TEST, 0), image_of(kitti, TEST, 2)])
 
 
-def spoil_cut(path):
-    cut(path)
-    return f"{path}: truncated"
-
-
 def spoil_size(path):
     cv2.imwrite(str(path), read_image(path)[:90, :100])
-    return f"{path}: has 100×90 pixels, most of its folder 208×208"
 
 
-def spoil_suffix(path):
-    path.rename(path.with_suffix(".jpg"))
-    return f"{path}: no such file"
+SPOILT = {
+    "truncated": cut,
+    "has 100×90 pixels, most of its folder 208×208": spoil_size,
+    "no such file": lambda path: path.rename(path.with_suffix(".jpg")),
+}
 
 
-@pytest.mark.parametrize("spoil", [spoil_cut, spoil_size, spoil_suffix])
-def test_triplets_of_broken_frames_are_left_out_and_all_such_frames_named_in_one_line(project, capsys, spoil):
+@pytest.mark.parametrize("why", SPOILT)
+def test_triplets_of_broken_frames_are_left_out_and_all_such_frames_named_in_one_line(project, capsys, why):
     run, kitti, _ = project
-    said = [spoil(image_of(kitti, TRAIN, index)) for index in (5, 3)]
+    spoilt = [image_of(kitti, TRAIN, index) for index in (5, 3)]
+    for path in spoilt:
+        SPOILT[why](path)
     assert prepared(project).triplets == 1
     told = [line for line in capsys.readouterr().out.splitlines() if "broken" in line]
-    assert len(told) == 1 and told[0].startswith("2 frames are broken") and all(words in told[0] for words in said)
+    assert len(told) == 1 and told[0].startswith("2 frames are broken") and all(f"{path}: {why}" in told[0] for path in spoilt)
     triplets, drives = training_data(run, "lr")  # what a training and its card go by
     assert [triplet.name[-10:] for triplet in triplets] == ["0000000001"] and drives == [TRAIN]
 
@@ -155,14 +131,9 @@ def test_a_broken_frame_to_score_is_refused_beside_all_others(project):
     assert all(str(path) in str(error.value) for path in spoilt) and not run.prepared.exists()
 
 
-def test_frames_to_score_may_have_several_sizes(project):
-    _, kitti, _ = project
-    spoil_size(image_of(kitti, TEST, 2))
-    assert prepared(project).scored == 2
-
-
-def test_without_a_whole_triplet_nothing_is_prepared(project):
+def test_frames_to_score_may_have_several_sizes_but_without_a_whole_triplet_nothing_is_prepared(project):
     run, kitti, _ = project
+    spoil_size(image_of(kitti, TEST, 2))
     for index in (1, 4):
         cut(image_of(kitti, TRAIN, index))
     with pytest.raises(InputError, match="kitti: all 4 triplets have broken frames"):
@@ -172,29 +143,27 @@ def test_without_a_whole_triplet_nothing_is_prepared(project):
 
 @pytest.fixture
 def with_odometry(project, tmp_path):
-    """The project with odometry sequences, and what its profile says of them."""
+    """Makes a run of the project with odometry sequences, and the folder of these."""
     run, kitti, test_list = project
-    root = tmp_path / "odometry"
+    root, path = tmp_path / "odometry", tmp_path / "odo.yaml"
     write_sequence(root, "00", range(5))
     write_sequence(root, "09", range(3))
 
-    def make(train="['00']", test="['09']", trained="odometry_lr: ", allow_leak=False):
-        path = tmp_path / "odo.yaml"
-        data = f"{{source: kitti, train_drives: [{TRAIN}], test_list: {test_list}, odometry_train: {train}, odometry_test: {test}}}"
+    def make(test="['09']", trained="odometry_lr: ", allow_leak=False):
+        data = f"{{source: kitti, train_drives: [{TRAIN}], test_list: {test_list}, odometry_train: ['00'], odometry_test: {test}}}"
         path.write_text(f"about: a test\ndata: {data}\ntrain: {{lr: , {trained}}}\n")
-        run_ = Run(str(path), run.root)
-        prepare_data.find_data(run_, str(kitti), odometry_root=str(root), allow_leak=allow_leak)
-        return run_
+        made = Run(str(path), run.root)
+        prepare_data.find_data(made, str(kitti), odometry_root=str(root), allow_leak=allow_leak)
+        return made
 
     return make, root
 
 
 def test_odometry_triplets_are_written_where_they_are_trained_on(with_odometry):
     make, _ = with_odometry
-    run = make()
-    assert prepare_data.prepare(run).odometry == 3 and (run.prepared / "odometry.csv").exists()
-    run = make(trained="")
-    assert prepare_data.prepare(run).odometry == 0 and not (run.prepared / "odometry.csv").exists()
+    for trained, expected in (("odometry_lr: ", 3), ("", 0)):
+        run = make(trained=trained)
+        assert prepare_data.prepare(run).odometry == expected and (run.prepared / "odometry.csv").exists() == bool(expected)
 
 
 def test_broken_frames_of_odometry_are_named_and_left_out_too(with_odometry, project, capsys):
@@ -202,8 +171,7 @@ def test_broken_frames_of_odometry_are_named_and_left_out_too(with_odometry, pro
     spoilt = [root / "sequences/00/image_2/000004.png", image_of(project[1], TRAIN, 0)]
     for path in spoilt:
         cut(path)
-    done = prepare_data.prepare(make())
-    assert (done.odometry, done.triplets) == (2, 3)
+    assert prepare_data.prepare(make())[::4] == (3, 2)
     told = capsys.readouterr().out
     assert told.startswith("2 frames are broken") and all(str(path) in told for path in spoilt)
     cut(root / "sequences/09/image_2/000001.png")
@@ -211,42 +179,29 @@ def test_broken_frames_of_odometry_are_named_and_left_out_too(with_odometry, pro
         prepare_data.prepare(make())
 
 
-def test_a_scored_sequence_must_be_there_with_its_poses(with_odometry):
+def test_a_scored_sequence_must_be_there_with_its_poses_and_not_be_trained_on_unless_allowed(with_odometry):
     make, root = with_odometry
     with pytest.raises(InputError, match="sequences/10/image_2: no images"):
         prepare_data.prepare(make(test="['10']"))
+    with pytest.raises(InputError, match=r"sequences 00 are both trained on and scored.*ALLOW_LEAK=1"):
+        prepare_data.prepare(make(test="['00']"))
+    assert prepare_data.prepare(make(test="['00']", allow_leak=True)).odometry == 3
     (root / "poses/09.txt").unlink()
     with pytest.raises(InputError, match=r"09\.txt: the true poses of sequence 09"):
         prepare_data.prepare(make())
 
 
-def test_a_sequence_or_drive_that_is_trained_on_is_scored_only_if_allowed(with_odometry):
-    make, _ = with_odometry
-    with pytest.raises(InputError, match=r"sequences 00 are both trained on and scored.*ALLOW_LEAK=1"):
-        prepare_data.prepare(make(test="['00']"))
-    assert prepare_data.prepare(make(test="['00']", allow_leak=True)).odometry == 3
+@pytest.mark.parametrize("roots", [{"kitti_root": "a"}, {"odometry_root": "a", "labels_root": "b"}])
+def test_the_world_has_its_own_folders_and_takes_no_others(tmp_path, roots):
+    with pytest.raises(InputError, match=f"profile tiny makes its own data: {' and '.join(roots).upper().replace(' AND ', ' and ')}"):
+        prepare_data.find_data(Run("tiny", tmp_path), **roots)
 
 
-def test_the_world_has_its_own_folders_and_takes_no_others(tmp_path):
-    with pytest.raises(InputError, match="profile tiny makes its own data: ODOMETRY_ROOT and LABELS_ROOT belong to sample"):
-        prepare_data.find_data(Run("tiny", tmp_path), odometry_root="a", labels_root="b")
-    with pytest.raises(InputError, match="profile tiny makes its own data: KITTI_ROOT"):
-        prepare_data.find_data(Run("tiny", tmp_path), kitti_root="somewhere")
-
-
-@pytest.mark.parametrize(
-    ("name", "said"),
-    [
-        ("make3d_root", "MAKE3D_ROOT .* holds no folder Test134"),
-        ("odometry_root", "holds no sequences"),
-        ("labels_root", "LABELS_ROOT .*export_labels"),
-    ],
-)
-def test_a_folder_of_another_benchmark_is_checked_at_once(project, tmp_path, name, said):
+@pytest.mark.parametrize("name", ["make3d_root", "odometry_root", "labels_root"])
+def test_a_folder_of_another_benchmark_is_checked_at_once(project, tmp_path, name):
     run, kitti, _ = project
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(InputError, match=said):
-        prepare_data.find_data(run, str(kitti), **{name: str(tmp_path / "empty")})
+    with pytest.raises(InputError, match=f"{name.upper()} {tmp_path}: holds no"):
+        prepare_data.find_data(run, str(kitti), **{name: str(tmp_path)})
 
 
 def test_every_scored_frame_needs_its_label_map(project, tmp_path):

@@ -5,9 +5,10 @@ import shutil
 import pytest
 
 from data_scripts import sources
-from data_scripts.sources import LISTS, drive_archives, named_list
+from data_scripts.sources import LISTS, drive_archives, named_list, profile_drives, profile_lists
 from dualdepth.data.kitti import read_frame_list, read_static_frames, read_test_scenes
 from dualdepth.errors import InputError
+from dualdepth.profile import load_profile
 
 
 def test_each_days_calibration_comes_once_before_its_drives():
@@ -34,26 +35,24 @@ def test_an_unknown_list_names_the_known_ones(tmp_path):
 @pytest.fixture
 def cached_lists(real, tmp_path):
     for name, entry in LISTS.items():
-        home, origin = sources.MONODEPTH2, "monodepth2"
-        if entry.path.startswith(sources.SFMLEARNER):
-            home, origin = sources.SFMLEARNER, "sfmlearner"
+        origin = "sfmlearner" if entry.path.startswith(sources.SFMLEARNER) else "monodepth2"
+        home = getattr(sources, origin.upper())
         shutil.copy(real("splits") / origin / entry.path.removeprefix(f"{home}/"), tmp_path / f"{name}.txt")
     return tmp_path
 
 
-def test_checksums_of_the_lists_are_those_of_the_unchanged_copies(cached_lists):
-    for name in LISTS:
-        assert named_list(name, cached_lists, "https://127.0.0.1:1/").is_file()
-
-
-def test_the_lists_hold_what_the_field_says(cached_lists):
+def test_the_lists_are_unchanged_and_hold_what_the_field_says(cached_lists):
+    paths = {name: named_list(name, cached_lists, "https://127.0.0.1:1/") for name in LISTS}  # checked by their sha256
     expected = {"eigen_test": 697, "eigen_zhou_train": 39810, "eigen_zhou_val": 4424, "eigen_improved": 652}
-    assert {name: len(read_frame_list(named_list(name, cached_lists))) for name in expected} == expected
-    assert len(read_static_frames(named_list("static_frames", cached_lists))) == 8044
-    assert len(read_test_scenes(named_list("test_scenes", cached_lists))) == 28
+    assert {name: len(read_frame_list(paths[name])) for name in expected} == expected
+    assert len(read_static_frames(paths["static_frames"])) == 8044 and len(read_test_scenes(paths["test_scenes"])) == 28
+    every = read_frame_list(paths["eigen_test"])
+    sample = [f for f in every if f.drive[-9:-5] in ("0052", "0013") and f.date == "2011_09_26"]
+    assert read_frame_list(named_list("sample_test", cached_lists)) == sample
 
 
-def test_the_samples_list_is_the_eigen_frames_of_two_drives(cached_lists):
-    frames = read_frame_list(named_list("sample_test", cached_lists))
-    every = read_frame_list(named_list("eigen_test", cached_lists))
-    assert frames == [f for f in every if f.drive[-9:-5] in ("0052", "0013") and f.date == "2011_09_26"]
+def test_the_papers_drives_are_those_of_both_its_lists(cached_lists):
+    data = load_profile("paper").data
+    drives = profile_drives(data, profile_lists(data, cached_lists))
+    validated = {frame.drive for frame in read_frame_list(named_list("eigen_zhou_val", cached_lists))}
+    assert len(drives) == 60 and validated < set(drives)  # 32 to train on, those of validation among them, and 28 to score

@@ -2,13 +2,12 @@
 
 import json
 
-import cv2
 import numpy as np
 import pytest
 from own_film import chessboards
 
 from data_scripts.own import camera
-from data_scripts.own.camera import Straightener, calibrate, camera_of_field, camera_of_file, camera_of_numbers
+from data_scripts.own.camera import calibrate, camera_of_field, camera_of_file, camera_of_numbers
 from dualdepth.errors import InputError
 
 SIZE = (240, 320)
@@ -26,46 +25,22 @@ def found(boards):
     return calibrate(boards, (9, 6), SIZE, "boards")
 
 
-def test_a_chessboard_gives_the_camera_that_rendered_it(found):
+def test_a_chessboard_gives_the_camera_that_rendered_it_by_its_squares_too(found, boards):
     assert np.abs(found.matrix - TRUE).max() < 3, found.matrix  # 1 % of the focal length
     assert found.distortion[0] == pytest.approx(LENS[0], abs=0.03)
     assert "9x6 inner corners in 12 of 12 views" in found.origin and "RMS error 0." in found.origin
-
-
-def test_a_boards_squares_are_understood_as_well_as_its_inner_corners(boards, found):
     assert np.allclose(calibrate(boards, (10, 7), SIZE, "boards").matrix, found.matrix)
 
 
-def test_undistorted_frames_are_those_of_a_pinhole(found, boards):
-    straight = Straightener(found)
-    corners = 0
-    for _, image in boards:
-        there, places = cv2.findChessboardCornersSB(cv2.cvtColor(straight(image), cv2.COLOR_RGB2GRAY), (9, 6), None)
-        if not there:
-            continue
-        corners += 1
-        grid = places.reshape(6, 9, 2)
-        for line in [*grid, *grid.transpose(1, 0, 2)]:  # straight lines of the board are straight in the picture
-            direction = np.linalg.svd(line - line.mean(0))[2][1]
-            assert np.abs((line - line.mean(0)) @ direction).max() < 0.35
-    assert corners >= 6 and "undistorted" in straight.camera.origin
-
-
-def test_views_without_a_board_and_too_few_with_one_are_refused(boards):
+def test_boards_that_do_not_do_are_refused(boards, monkeypatch):
     blank = [(f"blank {k}", np.full((*SIZE, 3), 128, np.uint8)) for k in range(3)]
-    with pytest.raises(InputError, match=r"boards: the whole board of 9x6 was found in 2 of 5 views, 8 are needed; check --squares"):
+    with pytest.raises(InputError, match=r"boards: the whole board of 9x6 was found in 2 of 5 views, 8 are needed"):
         calibrate([*boards[:2], *blank], (9, 6), SIZE, "boards")
-
-
-def test_a_board_that_no_camera_explains_is_refused_with_its_error(boards, monkeypatch):
-    monkeypatch.setattr(camera, "REPROJECTION", 0.01)  # finer than these pixels can tell
-    with pytest.raises(InputError, match=r"boards: the corners are off by 0\.\d\d pixels \(RMS\), at most 0\.01 is taken; use a"):
-        calibrate(boards, (9, 6), SIZE, "boards")
-
-
-def test_boards_of_another_size_than_the_frames_are_refused(boards):
     with pytest.raises(InputError, match="view 0: has 320×240 pixels, the frames have 640×480"):
         calibrate(boards, (9, 6), (480, 640), "boards")
+    monkeypatch.setattr(camera, "REPROJECTION", 0.01)  # finer than these pixels can tell
+    with pytest.raises(InputError, match=r"boards: the corners are off by 0\.\d\d pixels \(RMS\), at most 0\.01"):
+        calibrate(boards, (9, 6), SIZE, "boards")
 
 
 def test_an_estimate_from_the_field_of_view_is_a_pinholes_and_says_that_it_is_one():
@@ -82,19 +57,19 @@ def test_an_estimate_from_the_field_of_view_is_a_pinholes_and_says_that_it_is_on
         ("a,b,c,d", "give fx,fy,cx,cy"),
         ("nan,285,163,117", "must be finite"),
         ("-290,285,163,117", "above 0"),
-        ("4.2,4.2,163,117", "a field of view of 177 degrees, not 20 to 150"),
+        ("4.2,4.2,163,117", "a field of view of 177 degrees"),
         ("2900,2850,163,117", "a field of view of 6 degrees"),
-        ("290,900,163,117", "fx and fy differ by more than a factor of two"),
-        ("290,285,400,117", "the centre lies outside of the frame"),
-        ("290,285,163,-1", "the centre lies outside of the frame"),
+        ("290,900,163,117", "fx and fy differ"),
+        ("290,285,400,117", "outside of the frame"),
+        ("290,285,163,-1", "outside of the frame"),
     ],
 )
 def test_numbers_that_cannot_be_are_refused_with_what_to_do(text, said):
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=f"--intrinsics.*{said}"):
         camera_of_numbers(text, SIZE)
 
 
-@pytest.mark.parametrize("degrees", [0.5, 19, 151, 400, float("nan")])
+@pytest.mark.parametrize("degrees", [0.5, 151, float("nan")])
 def test_a_field_of_view_that_cannot_be_is_refused(degrees):
     with pytest.raises(InputError, match="20 to 150"):
         camera_of_field(degrees, SIZE)
@@ -126,13 +101,9 @@ def test_a_json_that_is_no_camera_is_refused(tmp_path, text, said):
 
 @pytest.mark.parametrize("named", ["P_rect_02: ", "P2: ", "P0: ", ""])
 def test_kittis_calibration_files_are_read(tmp_path, named):
-    others = "" if named else 2 * "500 0 163 0 0 500 117 0 0 0 1 0\n"  # of rows without names the first counts
-    (tmp_path / "calib.txt").write_text(f"{named}290 0 163 4.5 0 285 117 0.2 0 0 1 0.003\n{others}")
-    assert np.allclose(camera_of_file(tmp_path / "calib.txt", SIZE).matrix, TRUE)
-
-
-def test_kittis_calibration_of_frames_of_another_size_is_refused(tmp_path):
-    path = tmp_path / "calib_cam_to_cam.txt"
+    path = tmp_path / "calib.txt"
+    path.write_text(f"{named}290 0 163 4.5 0 285 117 0.2 0 0 1 0.003\n")
+    assert np.allclose(camera_of_file(path, SIZE).matrix, TRUE)
     path.write_text("S_rect_02: 1242 375\nP_rect_02: 721 0 609 0 0 721 172 0 0 0 1 0\n")
     assert camera_of_file(path, (375, 1242)).matrix[0, 0] == 721
     with pytest.raises(InputError, match="is of 1242×375 pixels, the frames have 640×193"):
