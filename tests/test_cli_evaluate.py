@@ -177,9 +177,9 @@ def test_what_cannot_be_measured_is_null_and_said_in_words(values_of, capsys):
 def test_trajectories_that_do_not_fit_are_named(refused):
     write_trajectory("short.txt", arc(50, 0.01, 1.0))
     assert "short.txt has 50 poses but gt.txt has 300" in refused(odometry, pred="short.txt")
-    write_trajectory("later.txt", arc(5, 0.01, 1.0), np.arange(300, 305))
+    write_numbered("later.txt", arc(5, 0.01, 1.0), np.arange(300, 305))
     assert "later.txt has frames 300 to 304 and gt.txt 0 to 299" in refused(odometry, pred="later.txt")
-    write_trajectory("one.txt", arc(2, 0.01, 1.0), np.array([299, 300]))
+    write_numbered("one.txt", arc(2, 0.01, 1.0), np.array([299, 300]))
     assert "one.txt and gt.txt have only frame 299" in refused(odometry, pred="one.txt")
 
 
