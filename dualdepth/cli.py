@@ -11,6 +11,7 @@ from dualdepth.errors import InputError, exit_on_input_error
 from dualdepth.run import add_roots
 
 Commands = "argparse._SubParsersAction[argparse.ArgumentParser]"
+"""What `add_subparsers` gives."""
 
 
 class OneLineParser(argparse.ArgumentParser):

@@ -204,25 +204,6 @@ def test_a_name_on_the_hub_is_taken_from_its_cache_without_network_or_refused_in
         DepthModel.from_pretrained(folder, devise="cpu")
 
 
-def change_end(file):
-    file.write_bytes(file.read_bytes()[:-1] + b"\1")
-
-
-@pytest.mark.parametrize(
-    ("damage", "said"),
-    [
-        (lambda folder: change_end(folder / "model.safetensors"), r"model\.safetensors: sha256"),
-        (lambda folder: (folder / "model.safetensors").unlink(), r"model\.safetensors: "),
-        (lambda folder: (folder / "config.json").unlink(), r"model\.json: "),
-        (lambda folder: (folder / "config.json").write_text("{"), r"config\.json: "),
-    ],
-)
-def test_damaged_folders_are_refused(folder, damage, said):
-    damage(folder)
-    with pytest.raises(dualdepth.InputError, match=said):
-        dualdepth.load(folder)
-
-
 def test_weights_that_are_not_finite_are_noticed():
     model = DepthModel(CARD, device="cpu")
     nn.init.constant_(next(model.parameters()), float("nan"))
