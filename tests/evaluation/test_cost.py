@@ -7,11 +7,6 @@ from torch import nn
 from dualdepth.evaluation.cost import count, latency
 
 
-def test_one_convolution_is_55296_macs():
-    conv = nn.Conv2d(3, 8, 3, padding=1, bias=False)
-    assert count(conv, torch.zeros(1, 3, 16, 16)) == (216, 55_296)
-
-
 def test_strides_groups_linear_layers_and_products_count_by_hand():
     class Net(nn.Module):
         def __init__(self):

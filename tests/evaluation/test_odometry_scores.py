@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from dualdepth.data.odometry import Trajectory
 from dualdepth.errors import InputError
 from dualdepth.evaluation import odometry
-from dualdepth.evaluation.odometry import aligned, relative, segment_errors, snippet_errors, snippets, trajectory_errors, umeyama
+from dualdepth.evaluation.odometry import aligned, segment_errors, snippet_errors, snippets, trajectory_errors, umeyama
 
 
 def pose(rotation=None, position=(0, 0, 0)):
@@ -114,21 +114,6 @@ def test_a_snippet_of_a_circle_against_straight_ahead_in_closed_form():
     np.testing.assert_allclose(errors["rmse"], math.sqrt(total / 3))
 
 
-def test_each_snippet_has_its_own_scale_and_axes():
-    truth = wander(20, 2)
-    cut = snippets(truth, 5)
-    moved = pose(yaw(1.0), (3, 4, 5)) @ cut
-    moved[:, :, :3, 3] *= np.linspace(0.1, 9, len(cut))[:, None, None]
-    np.testing.assert_allclose(snippet_errors(cut, moved), 0, atol=1e-9)
-
-
-def test_rotations_are_not_scored_in_snippets():
-    truth = wander(10, 3)
-    turned = truth.copy()
-    turned[1:, :3, :3] = Rotation.random(9, rng=np.random.default_rng(0)).as_matrix()
-    assert snippet_errors(truth[None, :5], turned[None, :5])["ate"].tolist() == pytest.approx([0], abs=1e-12)
-
-
 def test_a_prediction_that_does_not_move_keeps_scale_1():
     still = np.tile(wander(9, 0)[-1], (3, 1, 1))[None]  # anywhere: rounding must not count as movement
     errors = snippet_errors(straight(3)[None], still)
@@ -183,15 +168,6 @@ def test_alignments_equal_the_slow_reference(how):
             rotation, shift = np.eye(3), np.zeros(3)
     expected = [pose(rotation @ m[:3, :3], scale * rotation @ m[:3, 3] + shift) for m in moved]
     np.testing.assert_allclose(aligned(prediction, truth, how), expected, atol=1e-8)
-
-
-def test_alignment_undoes_what_it_can():
-    truth = circle(60, 10.0)
-    prediction = pose(yaw(0.8), (1, 2, 3)) @ scaled(relative(truth), 0.2)
-    np.testing.assert_allclose(aligned(prediction, truth, "7dof"), relative(truth), atol=1e-9)
-    np.testing.assert_allclose(aligned(prediction, truth, "scale"), relative(truth), atol=1e-9)
-    rigid = aligned(prediction, truth, "6dof") - relative(truth)
-    np.testing.assert_allclose(np.linalg.norm(rigid[:, :3, 3], axis=1), 0.8 * 10)  # the circles have one centre
 
 
 @pytest.mark.parametrize("how", odometry.ALIGNMENTS)
@@ -274,13 +250,6 @@ def test_a_short_trajectory_has_no_segments():
     assert result["segments"] == 0 and math.isnan(result["t_err"]) and math.isnan(result["r_err"])
     assert result["rpe_t"] == pytest.approx(0.1)
     assert trajectory_errors(drive(straight(102)), drive(straight(102)))["segments"] == 1
-
-
-def test_errors_do_not_depend_on_where_the_world_has_its_origin():
-    truth, prediction = wander(300, 12), wander(300, 13)
-    moved = pose(yaw(2.0), (50, 0, -9)) @ prediction
-    expected = trajectory_errors(drive(truth), drive(prediction), "none")
-    assert trajectory_errors(drive(truth), drive(moved), "none") == pytest.approx(expected, rel=1e-6)
 
 
 def test_the_mean_step_counts_every_step_once():
