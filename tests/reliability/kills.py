@@ -9,7 +9,6 @@ the child of a process that has.
 
 import argparse
 import contextlib
-import json
 import multiprocessing
 import os
 import random
@@ -26,16 +25,15 @@ import pandas as pd
 import psutil
 import torch
 
-from data_scripts.prepare_data import write_identity
-from dualdepth.data.triplets import drive_triplets, write_targets
 from dualdepth.device import keep_freed_memory
-from dualdepth.run import Run, Sources
+from dualdepth.run import Run
 from dualdepth.training.checkpoints import checkpoint_paths
 from dualdepth.training.log import read_log
 from dualdepth.training.variants import train_variant
 from tests.reliability.counting import write_count
+from tests.small_checkout import checkout_of, prepare
 from tests.small_encoder import save_encoder
-from tests.small_kitti import DRIVE, write_calibration, write_drive
+from tests.small_kitti import write_calibration, write_drive
 
 FRAMES = 10
 IMPORTED = [
@@ -55,29 +53,16 @@ class Tally(NamedTuple):
     """Weights to the bit, and the log but for its speed."""
 
 
-def make_checkout(root: Path, **training: object) -> Path:
-    """A folder that looks like a checkout, with prepared frames and a profile of two small trainings; returns the profile."""
+def make_checkout(root: Path, **training: object) -> Run:
+    """A folder that looks like a checkout, with prepared frames and a profile of two small trainings."""
+    stage = {"batch_size": 2, "epochs": 2}
     # loader workers, two half-batches a step, a checkpoint after each step
-    usual = {"encoder": save_encoder(root / "encoder"), "pretrained": False, "workers": 1, "precision": "float32", "accumulate": 2}
-    stages = {"lr": {"batch_size": 2, "epochs": 2}, "hr": {"batch_size": 2, "epochs": 2}}
-    values = {
-        "about": "killed and started again",
-        "data": {"source": "kitti", "train_drives": [DRIVE], "hr_size": (192, 192)},
-        "training": {**usual, **stages, "checkpoint_every": 1, "log_every": 1, **training},
-        "train": {"lr": None, "dual": None},
-    }
-    (root / "notebooks").mkdir()
-    (root / "Snakefile").touch()
-    profile = root / "own.yaml"
-    profile.write_text(json.dumps(values))  # JSON is YAML
+    usual = {"workers": 1, "accumulate": 2, "checkpoint_every": 1, "lr": stage, "hr": stage}
+    run = checkout_of(root, save_encoder(root / "encoder"), usual | training, train={"lr": None, "dual": None})
     write_calibration(root / "kitti")
     write_drive(root / "kitti", range(FRAMES))
-    run = Run(str(profile), root)
-    Sources(kitti_root=root / "kitti", test_list=root / "none.txt").save(run)
-    targets = drive_triplets(root / "kitti", [DRIVE])
-    write_targets(run.index("lr"), root / "kitti", targets)
-    write_identity(run, Sources.load(run), targets)
-    return profile
+    prepare(run)
+    return run
 
 
 def start(run: Run, variant: str, seed: int, **environment: str) -> BaseProcess:
@@ -175,7 +160,7 @@ def try_kills(root: Path, kills: int, each: int, seed: int = 0, **training: obje
     Stage 2 starts from the stage 1 that was never killed; `training` are changes of both, as `make_checkout` takes them.
     """
     keep_freed_memory()
-    run, rng = Run(str(make_checkout(root, **training)), root), random.Random(seed)
+    run, rng = make_checkout(root, **training), random.Random(seed)
     expected, seconds, tallies = {}, {}, []
     for variant in ("lr", "dual"):
         began = time.monotonic()

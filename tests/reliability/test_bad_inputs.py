@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 from bad_inputs import CASES, Case
-from small_training import quiet_torch  # noqa: F401
 from worlds import SERVED, WORLDS
 
 from data_scripts import download_make3d

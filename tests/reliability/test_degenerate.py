@@ -2,12 +2,11 @@
 
 import pytest
 import torch
-from small_stages import batch_of, dual_of, stage_of  # noqa: F401
+from small_stages import batch_of, stage_of
 
 from dualdepth.networks.depth_nets import LRNet
 from dualdepth.networks.pose_net import POSE_SCALE, PoseNet
 
-# ruff: noqa: F811
 SIZE = (192, 192)
 
 

@@ -7,14 +7,12 @@ import resource
 import shutil
 
 import pytest
-from small_training import at_forward, equal, kill_softly, profile_of, quiet_torch, triplets, whole  # noqa: F401
-from small_training import run as run_with  # noqa: F401
+from small_nets import equal
+from small_training import at_forward, kill_softly
 
 from dualdepth.errors import InputError
 from dualdepth.files import write_json
 from dualdepth.training.checkpoints import checkpoint_path, last_checkpoint, load_checkpoint
-
-# ruff: noqa: F811
 
 SMALL = 300_000
 """Bytes: more than a log or a picture, less than weights."""
@@ -32,9 +30,9 @@ def files_of_at_most(size):
 
 
 @pytest.fixture
-def run(run_with, profile_of):
+def run(run, profile_of):
     """Trains four steps, with a checkpoint after each second one."""
-    return lambda *arguments, **settings: run_with(*arguments, profile=profile_of(stage={"max_steps": 4}), **settings)
+    return lambda *arguments, **settings: run(*arguments, profile=profile_of(stage={"max_steps": 4}), **settings)
 
 
 def test_on_a_full_disk_a_training_goes_on_with_its_last_checkpoint_and_ends_in_one_line(run, whole, tmp_path, capsys, counted):

@@ -28,7 +28,7 @@ def test_the_newest_are_kept(tmp_path):
     assert last_checkpoint(tmp_path)["step"] == 100
 
 
-@pytest.mark.parametrize("share", [0, 0.25, 0.5, 0.75, 0.999])
+@pytest.mark.parametrize("share", [0, 0.5, 0.999])
 def test_a_damaged_checkpoint_is_told_and_the_one_before_it_is_used(tmp_path, share):
     paths = [save_checkpoint(tmp_path, step, *trained_net(), recipe="abc") for step in (7, 8)]
     paths[1].write_bytes(paths[1].read_bytes()[: int(share * paths[1].stat().st_size)])
@@ -50,21 +50,6 @@ def test_one_changed_byte_of_a_tensor_is_noticed(tmp_path):
     path.write_bytes(content)
     with pytest.raises(InputError, match="not a checkpoint of this project"):
         load_checkpoint(path)
-
-
-@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), RuntimeError("PytorchStreamWriter failed writing file")])
-def test_a_failed_save_leaves_the_checkpoint_before_it(tmp_path, monkeypatch, error):
-    before = save_checkpoint(tmp_path, 7, *trained_net(), recipe="abc")
-
-    def full_disk(state, path):
-        path.write_bytes(b"half")
-        raise error
-
-    monkeypatch.setattr(torch, "save", full_disk)
-    with pytest.raises(OSError, match=r"No space left|failed writing"):
-        save_checkpoint(tmp_path, 8, *trained_net(), recipe="abc")
-    assert last_checkpoint(tmp_path)["step"] == 7
-    assert list(tmp_path.iterdir()) == [before]
 
 
 FOREIGN = {

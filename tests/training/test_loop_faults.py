@@ -5,12 +5,10 @@ import multiprocessing
 import pytest
 import torch
 from small_kitti import DRIVE
-from small_training import at_forward, profile_of, quiet_torch, run, triplets  # noqa: F401
+from small_training import at_forward
 
 from dualdepth.errors import InputError
 from dualdepth.training.checkpoints import last_checkpoint
-
-# ruff: noqa: F811
 
 
 def break_loss(output):

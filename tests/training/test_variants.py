@@ -8,7 +8,8 @@ import signal
 import pytest
 import torch
 from small_kitti import DRIVE, write_sequence
-from small_stages import OTHER, STEPS, after_stage_1, backbones, change_card, equal, part, quiet_torch, run_in, trained  # noqa: F401
+from small_nets import equal
+from small_stages import OTHER, STEPS, change_card, part
 
 from dualdepth.data.odometry import write_odometry_index
 from dualdepth.errors import InputError
@@ -25,8 +26,6 @@ from dualdepth.training.loop import Trainer
 from dualdepth.training.stages import Stage
 from dualdepth.training.variants import make_stage, start_weights, train_variant
 from dualdepth.training.weights import load_card
-
-# ruff: noqa: F811
 
 
 def equal_anywhere(a, b):

@@ -1,12 +1,10 @@
 """Stage 2 asks in one line for what it needs."""
 
 import pytest
-from small_stages import after_stage_1, backbones, change_card, quiet_torch, run_in, trained  # noqa: F401
+from small_stages import change_card
 
 from dualdepth.errors import InputError
 from dualdepth.training.variants import train_variant
-
-# ruff: noqa: F811
 
 
 def tamper(run):
