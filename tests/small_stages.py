@@ -48,13 +48,13 @@ def dual_of(encoder):
     return make
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def backbones(tmp_path_factory):
     """Folders of two small ResNets."""
     return SimpleNamespace(usual=save_encoder(tmp_path_factory.mktemp("usual")), other=save_encoder(tmp_path_factory.mktemp("other"), 80))
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def run_in(backbones):
     """A run in a folder that looks like a checkout, with changes of its profile."""
 
@@ -67,7 +67,7 @@ def run_in(backbones):
     return make
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def trained(run_in, tmp_path_factory):
     """A run whose `lr` was trained on one drive and whose `dual` on another; not to be changed."""
     root = tmp_path_factory.mktemp("checkout")

@@ -63,13 +63,6 @@ def test_a_failure_leaves_the_file_before_it_and_nothing_else(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["a.txt"]
 
 
-def test_two_writers_do_not_share_an_unfinished_file(tmp_path):
-    with atomic_path(tmp_path / "a.txt") as first, atomic_path(tmp_path / "a.txt") as second:
-        first.write_text("first")
-        second.write_text("second")
-    assert (tmp_path / "a.txt").read_text() == "first"  # the last one to end
-
-
 def test_what_killed_writers_left_is_removed_and_nothing_else(tmp_path):
     left = [tmp_path / ".a.0123abcd.part.txt", tmp_path / "deep" / ".checkpoint_00000004.89abcdef.part.pt"]
     kept = [tmp_path / "a.txt", tmp_path / ".hidden.part.txt"]

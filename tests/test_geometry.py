@@ -54,14 +54,6 @@ def test_the_warp_undoes_a_sideways_motion_of_a_wall():
     assert valid[0, 0].all(dim=0).tolist() == [True] * (width - shift) + [False] * shift
 
 
-def test_a_pure_rotation_moves_pixels_independently_of_depth():
-    k = camera(12, 40)
-    near, _ = reproject(torch.full((1, 1, 12, 40), 10.0), pose(0, 0, 0, 0.02, -0.05, 0.1), k)
-    far, _ = reproject(disparities(12, 40), pose(0, 0, 0, 0.02, -0.05, 0.1), k)
-    assert torch.allclose(near, far, atol=1e-4)
-    assert (near - torch.stack(grid(12, 40), -1)).abs().max() > 1
-
-
 def test_points_behind_the_source_camera_are_invalid_and_finite():
     depth = torch.full((1, 1, 8, 16), 2.0)
     depth[..., 8:] = 50.0

@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given
 from hypothesis import strategies as st
-from strategies import FUZZ, bytes_of, read_or_refuse, values_of
+from strategies import bytes_of, fuzz, read_or_refuse, values_of
 
 from data_scripts import sources
 from data_scripts.own.camera import camera_of_file
@@ -91,17 +90,13 @@ TEXTS = {
 @pytest.mark.parametrize("parser", TEXTS)
 def test_damaged_text(parser, tmp_path, counted):
     whole, read = TEXTS[parser]
-    (tmp_path / "damaged").write_bytes(whole)
-    read(tmp_path)  # what is not damaged is read
 
-    @FUZZ
-    @given(bytes_of(whole, words=True))
-    def try_one(content):
-        with counted():
-            (tmp_path / "damaged").write_bytes(content)
-            read_or_refuse(read, tmp_path)
+    def write_and_read(content):
+        (tmp_path / "damaged").write_bytes(content)
+        read(tmp_path)
 
-    try_one()
+    write_and_read(whole)  # what is not damaged is read
+    fuzz(counted, write_and_read, bytes_of(whole, words=True))
 
 
 def profile(folder: Path, value) -> None:
@@ -133,14 +128,7 @@ VALUES = {
 def test_damaged_values(parser, tmp_path, counted):
     whole, read = VALUES[parser]
     read(tmp_path, whole)
-
-    @FUZZ
-    @given(values_of(whole))
-    def try_one(value):
-        with counted():
-            read_or_refuse(read, tmp_path, value)
-
-    try_one()
+    fuzz(counted, lambda value: read(tmp_path, value), values_of(whole))
 
 
 ODD = st.text(max_size=12) | st.from_regex(r"-{0,3}[0-9²٣,_ ]{1,6}") | st.just("9" * 5000)
@@ -149,26 +137,17 @@ FILE_NAMES = st.lists(st.sampled_from(["0000000001", "²", "٣", "1.5", "-1", "�
 
 @pytest.mark.parametrize("parse", [parse_seeds, lambda text: sources.drive_archives([text]), lambda text: parse_parameters([text])])
 def test_odd_words_of_the_command_line(parse, counted):
-    @FUZZ
-    @given(ODD | ODD.map(lambda text: f"seed={text}"))
-    def try_one(text):
-        with counted():
-            read_or_refuse(parse, text)
-
-    try_one()
+    fuzz(counted, parse, ODD | ODD.map(lambda text: f"seed={text}"))
 
 
 def test_odd_names_of_files_in_a_folder_of_frames(tmp_path_factory, counted):
-    @FUZZ
-    @given(FILE_NAMES, st.sampled_from([".png", ".jpg", ".txt"]))
-    def try_one(stems, suffix):
+    def write_and_read(stems, suffix):
         root = tmp_path_factory.mktemp("root")
         for folder in (root / DRIVE / "image_02/data", root / "sequences/00/image_2"):
             folder.mkdir(parents=True)
             for stem in stems:
                 (folder / f"{stem}{suffix}").touch()
-        with counted():
-            read_or_refuse(drive_triplets, root, [DRIVE])
-            read_or_refuse(frame_files, root, "00")
+        read_or_refuse(drive_triplets, root, [DRIVE])
+        read_or_refuse(frame_files, root, "00")
 
-    try_one()
+    fuzz(counted, write_and_read, FILE_NAMES, st.sampled_from([".png", ".jpg", ".txt"]))
