@@ -1,7 +1,6 @@
 """Files are whole or absent; one run holds a lock at a time, and a dead one holds nothing."""
 
 import hashlib
-import json
 import math
 import os
 import signal
@@ -14,7 +13,7 @@ import numpy as np
 import pytest
 
 from dualdepth.errors import InputError
-from dualdepth.files import atomic_path, file_digest, folder_digest, locked, remove_leftovers, write_json, write_text
+from dualdepth.files import atomic_path, file_digest, folder_digest, locked, remove_leftovers, write_json
 
 HOLDER = """
 import os, sys, time
@@ -72,13 +71,6 @@ def test_what_killed_writers_left_is_removed_and_nothing_else(tmp_path):
     assert remove_leftovers(tmp_path, below=False) == 1
     assert remove_leftovers(tmp_path) == 1
     assert not any(path.exists() for path in left) and all(path.exists() for path in kept)
-
-
-def test_text_and_json_are_utf_8(tmp_path):
-    write_text(tmp_path / "a.txt", "δ < 1.25²")
-    write_json(tmp_path / "a.json", {"about": "λ", "n": 3})
-    assert (tmp_path / "a.txt").read_bytes().decode("utf-8") == "δ < 1.25²"
-    assert json.loads((tmp_path / "a.json").read_text(encoding="utf-8")) == {"about": "λ", "n": 3}
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])

@@ -56,15 +56,6 @@ def test_exactly_20_m_is_near_and_the_next_number_is_far():
     assert frame["valid_pixels"].to_dict() == {(0, NEAR): 3, (0, FAR): 1}
 
 
-def test_an_image_has_one_ratio_unless_each_part_is_given_its_own():
-    truth = np.array([[10.0, 10, 10, 40, 40]])
-    prediction = np.array([[1.0, 1, 1, 2, 2]])  # times ten the near part is exact, the far part half of what it should be
-    one = evaluate_parts([prediction], [truth], near_and_far, crop="none")
-    assert one["abs_rel"].to_dict() == pytest.approx({(0, NEAR): 0, (0, FAR): 0.5})
-    own = evaluate_parts([prediction], [truth], near_and_far, crop="none", own_ratio=True)
-    assert own["abs_rel"].tolist() == pytest.approx([0, 0])
-
-
 def test_only_the_parts_that_an_image_has_get_a_row():
     near, none, far = np.full((20, 30), 8.0), np.zeros((20, 30)), np.full((20, 30), 33.0)
     frame = evaluate_parts([np.ones((4, 6))] * 4, [near, none, far, np.hstack([near, far])], near_and_far)

@@ -100,11 +100,6 @@ def test_it_computes_in_float32_under_bfloat16(mixing):
     assert torch.equal(found, expected)
 
 
-def test_it_runs_on_the_meta_device_where_operations_are_counted():
-    features, image = (given.to("meta") for given in inputs())
-    assert attention_of().to("meta")(features, image).shape == (2, WIDTH, *SIZE)
-
-
 @pytest.mark.parametrize(("similarity", "normalise"), SETTINGS)
 def test_large_features_give_finite_results_and_gradients(similarity, normalise):
     attention = attention_of(similarity, normalise)

@@ -187,21 +187,6 @@ def test_parameters_and_macs_of_both_are_those_fitted_to_the_papers_overhead_tab
     assert (million(alone.params - decoder), million(alone.macs / 1e3)) == (27.916, 23.953)
 
 
-def test_without_sa_the_neck_takes_all_of_resnet50s_channels_beside_hr_nets():
-    with torch.device("meta"):
-        direct, given = DualNet(LRNet("resnet50"), "direct"), torch.zeros(1, 3, 384, 1248)
-    seen = given_to(direct.hr_net.decoder.neck)
-    direct(given)
-    assert direct.attention is None
-    assert seen[0][0].shape == (1, 2048 + 128, 12, 39)
-
-
-def test_the_embedding_alone_is_as_large_and_saves_the_two_products(dual_of):
-    mixed, alone = (count(dual_of(link), torch.zeros(1, 3, *SIZE, device="meta")) for link in ("attention", "embedding"))
-    assert mixed.params == alone.params
-    assert mixed.macs - alone.macs == 2 * 6 * 6 * 128
-
-
 @pytest.mark.parametrize("link", LINKS)
 def test_the_dual_networks_disparities_come_at_four_scales_and_fewer_are_the_same_to_the_bit(dual_of, link):
     with torch.inference_mode():
@@ -228,15 +213,6 @@ def test_training_leaves_lr_net_as_it_was_to_the_bit_and_moves_the_rest(dual_of,
     frozen = {f"lr_net.{name}" for name in net.lr_net.state_dict()}
     assert {"running_mean", "running_var", "num_batches_tracked"} <= {name.split(".")[-1] for name in frozen}
     assert same == frozen
-
-
-def test_lr_net_stays_in_eval_mode(encoder):
-    lr_net = LRNet(encoder).train()
-    whole = nn.Sequential(DualNet(lr_net))
-    for mode in (True, False, True):
-        modes = [{m.training for m in part.modules()} for part in (lr_net, whole.train(mode)[0].hr_net, whole[0].attention)]
-        assert modes == [{False}, {mode}, {mode}]
-    assert not any(m.training for m in DualNet(LRNet(encoder)).lr_net.modules())  # before anyone calls train()
 
 
 @pytest.mark.parametrize("link", LINKS)

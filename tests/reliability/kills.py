@@ -7,7 +7,6 @@ written. Trials are forked from a server that has imported everything, so a star
 the child of a process that has.
 """
 
-import argparse
 import contextlib
 import multiprocessing
 import os
@@ -15,7 +14,6 @@ import random
 import shutil
 import signal
 import sys
-import tempfile
 import time
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -30,7 +28,7 @@ from dualdepth.run import Run
 from dualdepth.training.checkpoints import checkpoint_paths
 from dualdepth.training.log import read_log
 from dualdepth.training.variants import train_variant
-from tests.reliability.counting import write_count
+from tests.reliability.counting import count_kills
 from tests.small_checkout import checkout_of, prepare
 from tests.small_encoder import save_encoder
 from tests.small_kitti import write_calibration, write_drive
@@ -184,23 +182,13 @@ def try_kills(root: Path, kills: int, each: int, seed: int = 0, **training: obje
     return tallies
 
 
-def main() -> int:
-    """Kill as often as asked and count."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--kills", type=int, default=50)
-    parser.add_argument("--each", type=int, default=4, help="kills of one training, at most")
-    arguments = parser.parse_args()
-    with tempfile.TemporaryDirectory() as root:
-        tallies = try_kills(Path(root), arguments.kills, arguments.each)
-    kills, torn = sum(t.kills for t in tallies), sum(t.while_writing for t in tallies)
-    held = sum(t.kills for t in tallies if t.identical)
-    note = (
-        f"{len(tallies)} trainings of both stages, {torn} kills in the middle of writing a file; weights to the bit, log but for its speed"
-    )
-    write_count("training killed by SIGKILL and started again", kills, held, note)
-    print(f"{held} of {kills} kills harmless: {note}")
-    return 0 if held == kills else 1
+def counted(root: Path, kills: int, each: int) -> tuple[list[int], int, str]:
+    """As `count_kills` takes it."""
+    tallies = try_kills(root, kills, each)
+    torn, held = sum(t.while_writing for t in tallies), sum(t.kills for t in tallies if t.identical)
+    note = f"trainings of both stages, {torn} kills in the middle of writing a file; weights to the bit, log but for its speed"
+    return [t.kills for t in tallies], held, note
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(count_kills("training killed by SIGKILL and started again", 50, 4, counted))

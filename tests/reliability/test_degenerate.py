@@ -17,7 +17,7 @@ def stages(dual_of, encoder):
     def make(name):
         torch.manual_seed(0)
         depth_net = dual_of() if name == "hr" else LRNet(encoder)
-        return stage_of(depth_net, PoseNet(), low=name == "lr").train()
+        return stage_of(depth_net, PoseNet(), low=name != "hr", beyond_paper_automask="automask" in name).train()
 
     return make
 
@@ -76,7 +76,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", ["lr", "hr"])
+@pytest.mark.parametrize("name", ["lr", "lr with automask", "hr"])
 @pytest.mark.parametrize("case", CASES)
 def test_losses_and_gradients_of_a_whole_stage_stay_finite(stages, case, name, counted):
     stage, batch = stages(name), batch_of(1, SIZE)

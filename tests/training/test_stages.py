@@ -114,14 +114,6 @@ def test_the_profiles_loss_is_taken(batch, changes, low):
     assert stage.depth_net.scales == changes.get("scales", 4)
 
 
-@pytest.mark.parametrize("low", [True, False])
-@pytest.mark.parametrize("channels_last", [True, False])
-def test_the_memory_layout_is_the_profiles(batch, channels_last, low):
-    stage = seen_stage(low, channels_last=channels_last)
-    stage(batch)
-    assert stage.depth_net.image.is_contiguous(memory_format=torch.channels_last) == channels_last
-
-
 def test_in_a_corridor_posenet_learns_alone(batch, asked):
     stage = seen_stage(low=True, feature=1.0)
     output = stage(batch, in_a_corridor=True)

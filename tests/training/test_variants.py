@@ -182,11 +182,6 @@ def test_another_stage_1_makes_stage_2_stale(trained, after_stage_1):
     assert first.weights("dual", 0).with_name("trained.json").read_text() != before
 
 
-def test_one_seed_gives_the_same_weights_to_the_bit_wherever_it_is_trained(trained, after_stage_1):
-    again = train_variant(after_stage_1(), "dual", 0)
-    assert again.read_bytes() == trained.weights("dual", 0).read_bytes()
-
-
 def test_a_dual_training_that_was_stopped_and_killed_goes_on_to_the_same_weights(trained, after_stage_1, monkeypatch):
     run, forward, calls = after_stage_1(), Stage.forward, []
 
@@ -206,7 +201,7 @@ def test_a_dual_training_that_was_stopped_and_killed_goes_on_to_the_same_weights
         assert last_checkpoint(run.training("dual", 0))["step"] == step
         assert not run.weights("dual", 0).exists()
     weights = train_variant(run, "dual", 0)
-    assert len(calls) == 4
+    assert len(calls) == 4  # one step a second time, and the same weights to the bit as in another folder
     assert load_card(weights)["resumed_at"] == 2
     assert weights.read_bytes() == trained.weights("dual", 0).read_bytes()
 
