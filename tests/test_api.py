@@ -16,6 +16,8 @@ def test_the_public_names_are_few_and_all_there():
         dualdepth.lode  # noqa: B018
 
 
+@pytest.mark.slow
+@pytest.mark.slow
 @pytest.mark.parametrize("name", dualdepth.__all__)
 def test_the_example_of_each_public_name_runs(name):
     found = doctest.DocTestFinder(recurse=False).find(getattr(dualdepth, name), name, globs={})

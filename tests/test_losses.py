@@ -102,6 +102,7 @@ def test_gradients_of_the_pieces_equal_finite_differences(piece):
 # The whole
 
 
+@pytest.mark.slow
 def test_the_total_loss_equals_a_slow_reading_of_the_paper():
     given = batch()
     found = total_loss(**given)

@@ -58,6 +58,7 @@ def test_the_corridor_is_short():
     assert len([*(ROOT / "dualdepth").glob("*.py")]) <= 18
 
 
+@pytest.mark.slow
 def loaded_by(code):
     """Modules that a program has loaded at its end."""
     program = f"import sys\n{code}\nprint('LOADED', *sys.modules)"
@@ -76,6 +77,7 @@ def test_a_training_loads_no_scripts_tables_predictions_or_report():
 HEAVY = {"torch", "transformers", "pandas", "numpy", "scipy", "snakemake", "cv2", "matplotlib", "kornia", "accelerate", "papermill", "PIL"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", ["", "evaluate depth", "evaluate odometry", "reproduce", "predict", "train", "export", "notebook"])
 def test_help_loads_nothing_heavy(words):
     loaded = loaded_by(f"from dualdepth.cli import main\ntry:\n    main({[*words.split(), '--help']})\nexcept SystemExit:\n    pass")

@@ -82,8 +82,8 @@ class DualNet(nn.Module):
         lr_net: of stage 1; its parameters are frozen here.
         link: what HR-Net receives, see `Design`.
         similarity, normalise: of SA-Attention.
-        residual: beyond the paper, HR-Net's logits are added to LR-Net's, enlarged and not below `RESIDUAL_FLOOR`, so that it begins with LR-Net's
-            depth.
+        residual: beyond the paper, HR-Net's logits are added to LR-Net's, enlarged and not below `RESIDUAL_FLOOR`, so that it begins with
+            LR-Net's depth.
     """
 
     def __init__(

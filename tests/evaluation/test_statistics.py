@@ -92,6 +92,7 @@ def test_trainings_of_other_shapes_or_without_numbers_cannot_be_compared(a, b, s
         compare(a, b)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("block", [1, 3, 7])
 def test_blocks_are_circular_runs(block):
     """Against a slow version: draw starts, take runs, average."""

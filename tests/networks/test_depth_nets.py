@@ -48,6 +48,8 @@ def without_gradient(net, output):
 # LR-Net
 
 
+@pytest.mark.slow
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("encoder", "size", "params_m", "gmacs"),
     [
@@ -76,6 +78,7 @@ def rms_of_levels(net, *given):
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("encoder", "pretrained"),
     [("resnet18", False), ("resnet50", False), ("mobilenet_v2", False), ("efficientnet_lite0", False), ("efficientnet_lite0", True)],
@@ -167,6 +170,7 @@ def test_gradients_reach_every_parameter_of_hr_net(global_channels):
 # The dual network
 
 
+@pytest.mark.slow
 @pytest.fixture(scope="module")
 def dual_of(encoder):
     """A dual network with new weights, in eval mode."""
@@ -187,6 +191,7 @@ def test_parameters_and_macs_of_both_are_those_fitted_to_the_papers_overhead_tab
     assert (million(alone.params - decoder), million(alone.macs / 1e3)) == (27.916, 23.953)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("link", LINKS)
 def test_the_dual_networks_disparities_come_at_four_scales_and_fewer_are_the_same_to_the_bit(dual_of, link):
     with torch.inference_mode():
@@ -198,6 +203,7 @@ def test_the_dual_networks_disparities_come_at_four_scales_and_fewer_are_the_sam
     assert all(torch.equal(found.features, output.features) for found in fewer)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("link", LINKS)
 def test_training_leaves_lr_net_as_it_was_to_the_bit_and_moves_the_rest(dual_of, link):
     net = dual_of(link).train()
@@ -244,6 +250,7 @@ def test_the_link_and_its_settings_reach_sa_attention(dual_of, link, mixes):
     assert (attention.mixing, attention.similarity, attention.normalise) == (mixes, "l2", "mean")
 
 
+@pytest.mark.slow
 def test_lr_nets_decoder_changes_nothing_and_gives_its_depth_beside(dual_of):
     net = dual_of()
     seen = given_to(net.lr_net.encoder)

@@ -169,6 +169,7 @@ def test_imagenet_weights_are_taken_from_a_local_folder(name, tmp_path):
     assert all(torch.equal(given[k], v) for k, v in taken.items())
 
 
+@pytest.mark.slow
 def test_weights_that_cannot_be_had_are_a_one_line_error(tmp_path):
     with pytest.raises(InputError, match="nowhere' cannot be loaded") as error:
         make_encoder("resnet18", pretrained=str(tmp_path / "nowhere"))

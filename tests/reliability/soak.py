@@ -39,21 +39,21 @@ class Part(NamedTuple):
     """DUALDEPTH_EXAMPLES, how much is fuzzed."""
 
 
-def by_pytest(*words: str) -> list[str]:
-    """A call of pytest."""
-    return ["-m", "pytest", *words, "-p", "no:cacheprovider", "--timeout", "0"]
+def by_pytest(*words: str, marked: str = "not soak") -> list[str]:
+    """A call of pytest on files, for the tests that are so marked."""
+    return ["-m", "pytest", *words, "-m", marked, "-n", "0", "-p", "no:cacheprovider", "--timeout", "0"]
 
 
 PARTS = {
     "kills": Part("trainings killed", ["-m", "tests.reliability.kills", "--kills", "50"]),
     "chains": Part("chains killed", ["-m", "tests.reliability.chains", "--kills", "20"]),
     "parity": Part("two processes against one", ["-m", "tests.reliability.ddp"]),
-    "ranks": Part("tests of several processes that stop, die, share and resume", by_pytest(f"{TESTS}/test_ddp.py", "-m", "slow")),
-    "stops": Part("SIGTERM: checkpoint and one line", by_pytest(f"{TESTS}/test_stopping.py", "-m", "slow or soak")),
+    "ranks": Part("tests of several processes that stop, die, share and resume", by_pytest(f"{TESTS}/test_ddp.py")),
+    "stops": Part("SIGTERM: checkpoint and one line", by_pytest(f"{TESTS}/test_stopping.py", marked="slow or soak")),
     "disk": Part("full disks, closed folders, removed files", by_pytest(f"{TESTS}/test_disk.py")),
     "degenerate": Part("degenerate frames and networks, finite gradients", by_pytest(f"{TESTS}/test_degenerate.py")),
     "inputs": Part("bad inputs named in one line", by_pytest(f"{TESTS}/test_bad_inputs.py", f"{TESTS}/test_permissions.py")),
-    "fuzz": Part("damaged files that crash no reader", by_pytest(TESTS, "-m", "fuzz"), examples="1000"),
+    "fuzz": Part("damaged files that crash no reader", by_pytest(TESTS, marked="fuzz"), examples="1000"),
 }
 
 

@@ -11,6 +11,8 @@ import pytest
 from tests.reliability.chains import Chain, is_held, try_kills
 from tests.small_chain import SmallChain
 
+pytestmark = pytest.mark.slow
+
 LAST = "the last line\n"
 SLOWLY = f"""
     with atomic_path(path) as partial:
@@ -55,7 +57,6 @@ def begun(chain):
     return running
 
 
-@pytest.mark.slow
 def test_a_chain_killed_at_random_ends_with_the_same_files(chain, counted):
     with counted():
         tallies = try_kills(chain, kills=2, each=2)
@@ -64,7 +65,6 @@ def test_a_chain_killed_at_random_ends_with_the_same_files(chain, counted):
     assert not [*chain.root.glob("results/**/*.part*"), *chain.root.glob("work/*/prepared/*.part*")]
 
 
-@pytest.mark.slow
 def test_a_live_run_stops_a_second_one_and_says_whose_it_is_until_it_is_killed(chain, counted):
     running = begun(chain)
     assert "snakemake" in psutil.Process(running.pid).cmdline()  # which the command has become

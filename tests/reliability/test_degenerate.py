@@ -7,6 +7,8 @@ from small_stages import batch_of, stage_of
 from dualdepth.networks.depth_nets import LRNet
 from dualdepth.networks.pose_net import POSE_SCALE, PoseNet
 
+pytestmark = pytest.mark.slow
+
 SIZE = (192, 192)
 
 

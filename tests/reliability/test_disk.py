@@ -14,6 +14,8 @@ from dualdepth.errors import InputError
 from dualdepth.files import write_json
 from dualdepth.training.checkpoints import checkpoint_path, last_checkpoint
 
+pytestmark = pytest.mark.slow
+
 SMALL = 300_000
 """Bytes: more than a log or a picture, less than weights."""
 

@@ -142,6 +142,7 @@ def test_damaged_file(parser, tmp_path, counted):
     fuzz(counted, write_and_read, bytes_of(whole))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["depth", "disparity"])
 @pytest.mark.parametrize("resize", ["depth", "disparity"])
 @pytest.mark.filterwarnings("ignore")

@@ -4,8 +4,9 @@ import pytest
 
 from tests.reliability.kills import try_kills
 
+pytestmark = pytest.mark.slow
 
-@pytest.mark.slow
+
 def test_killed_trainings_of_both_stages_end_with_the_same_weights(tmp_path):
     six = {"batch_size": 2, "epochs": 2, "max_steps": 6}
     tallies = try_kills(tmp_path, kills=3, each=2, seed=6, lr=six, hr=six)  # draws both kinds of moments

@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 from worlds import CAMERAS, DRIVE, SCAN, WORLDS
 
+pytestmark = pytest.mark.slow
+
 NOBODY = 65534
 DENIED = [
     ("scans", "list.txt"),

@@ -35,6 +35,7 @@ print(len(names))
 """
 
 
+@pytest.mark.slow
 def test_no_module_needs_the_network_to_be_imported():
     done = subprocess.run([sys.executable, "-c", IMPORT_ALL], capture_output=True, text=True, check=False, cwd=REPOSITORY)
     assert done.returncode == 0, done.stderr

@@ -41,6 +41,7 @@ def test_it_learns_one_triplet(run, profile_of, triplets, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["float32", BF16])
 def test_two_runs_with_one_seed_are_equal_to_the_bit_and_another_seed_is_not(run, profile_of, tmp_path, precision):
     def profile(workers):
@@ -80,6 +81,7 @@ def test_too_few_triplets_or_steps_are_an_error(run, profile_of, changes, said):
         run(profile=profile_of(**changes))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
     [
@@ -116,12 +118,14 @@ def test_the_learning_rate_steps_down_at_the_papers_epochs():
     assert all(rates[epoch] == {5e-5} for epoch in range(21, 41))
 
 
+@pytest.mark.slow
 def test_steps_are_whole_batches_of_all_epochs_unless_cut_short():
     assert total_steps(StageSettings(epochs=3), 10) == 6
     assert total_steps(StageSettings(epochs=3, max_steps=4), 10) == 4
     assert total_steps(StageSettings(epochs=3, max_steps=9), 10) == 6
 
 
+@pytest.mark.slow
 def test_the_signal_handler_before_a_training_is_there_again_after_it(run, profile_of):
     before = signal.signal(signal.SIGTERM, signal.SIG_IGN)
     try:

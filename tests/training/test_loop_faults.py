@@ -27,6 +27,7 @@ def break_gradient(output):
     return output._replace(losses=output.losses._replace(total=total))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [1, 4])
 @pytest.mark.parametrize(("what", "event"), [("loss", break_loss), ("pose", break_pose), ("gradient", break_gradient)])
 def test_what_is_not_finite_stops_with_step_and_frames_and_leaves_the_last_checkpoint(run, tmp_path, what, event, number):
@@ -40,6 +41,7 @@ def test_what_is_not_finite_stops_with_step_and_frames_and_leaves_the_last_check
     assert left <= {"checkpoint_00000002.pt", "log.csv", "panels", "tensorboard"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [0, 2])
 def test_a_bad_image_stops_the_training_in_one_line_that_names_it_and_no_worker_stays(run, profile_of, kitti_root, workers, tmp_path):
     path = kitti_root / DRIVE / "image_02/data/0000000004.png"

@@ -12,6 +12,8 @@ from dualdepth.training.loop import step_seconds
 from dualdepth.training.stages import Stage
 from dualdepth.training.weights import load_card
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("number", [1, STEPS])
 def test_a_run_that_was_told_to_stop_goes_on_to_the_same_weights(run, whole, tmp_path, number):

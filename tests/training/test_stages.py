@@ -173,6 +173,7 @@ def test_losses_are_float32_under_bfloat16(batch, low):
     assert all(torch.equal(a, b) for a, b in zip(losses, plain))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("link", ["attention", "embedding", "direct"])
 def test_the_log_has_the_scale_of_what_sa_attention_hands_over(dual_of, link):
     net, handed = dual_of(link), []

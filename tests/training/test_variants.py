@@ -27,6 +27,8 @@ from dualdepth.training.stages import Stage
 from dualdepth.training.variants import make_stage, start_weights, train_variant
 from dualdepth.training.weights import load_card
 
+pytestmark = pytest.mark.slow
+
 
 def equal_anywhere(a, b):
     return [name for name, value in a.items() if value.is_floating_point() and torch.equal(value, b[name])]

@@ -6,6 +6,8 @@ from small_stages import change_card
 from dualdepth.errors import InputError
 from dualdepth.training.variants import train_variant
 
+pytestmark = pytest.mark.slow
+
 
 def tamper(run):
     content = bytearray(run.weights("lr", 0).read_bytes())
