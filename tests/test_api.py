@@ -17,7 +17,6 @@ def test_the_public_names_are_few_and_all_there():
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 @pytest.mark.parametrize("name", dualdepth.__all__)
 def test_the_example_of_each_public_name_runs(name):
     found = doctest.DocTestFinder(recurse=False).find(getattr(dualdepth, name), name, globs={})
@@ -25,6 +24,7 @@ def test_the_example_of_each_public_name_runs(name):
     assert sum(doctest.DocTestRunner().run(test).failed for test in found) == 0
 
 
+@pytest.mark.slow
 def test_the_package_is_imported_without_torch():
     code = "import sys, dualdepth; dir(dualdepth); sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -102,7 +102,6 @@ def test_gradients_of_the_pieces_equal_finite_differences(piece):
 # The whole
 
 
-@pytest.mark.slow
 def test_the_total_loss_equals_a_slow_reading_of_the_paper():
     given = batch()
     found = total_loss(**given)
@@ -120,6 +119,7 @@ def test_the_total_loss_equals_a_slow_reading_of_the_paper():
         assert getattr(found, name).item() == pytest.approx(value, rel=1e-3), name
 
 
+@pytest.mark.slow
 def test_gradients_of_the_total_loss_equal_finite_differences(monkeypatch):
     grid = geometry.pixel_grid
     monkeypatch.setattr(geometry, "pixel_grid", lambda *arguments: grid(*arguments).double())

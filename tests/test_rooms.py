@@ -58,7 +58,6 @@ def test_the_corridor_is_short():
     assert len([*(ROOT / "dualdepth").glob("*.py")]) <= 18
 
 
-@pytest.mark.slow
 def loaded_by(code):
     """Modules that a program has loaded at its end."""
     program = f"import sys\n{code}\nprint('LOADED', *sys.modules)"
@@ -66,6 +65,7 @@ def loaded_by(code):
     return set(said.split("LOADED")[1].split())
 
 
+@pytest.mark.slow
 def test_a_training_loads_no_scripts_tables_predictions_or_report():
     loaded = loaded_by("import dualdepth.training.variants")
     assert "dualdepth.training.loop" in loaded

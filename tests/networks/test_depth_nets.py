@@ -49,7 +49,6 @@ def without_gradient(net, output):
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("encoder", "size", "params_m", "gmacs"),
     [
@@ -63,6 +62,7 @@ def test_parameters_and_macs_of_lr_net_are_those_fitted_to_the_papers_overhead_t
     assert (million(cost.params), million(cost.macs / 1e3)) == (params_m, gmacs)
 
 
+@pytest.mark.slow
 def test_gradients_reach_every_parameter_of_lr_net():
     net = LRNet("resnet18")
     assert without_gradient(net, net(image(items=2, size=(64, 64)))) == []
@@ -170,7 +170,6 @@ def test_gradients_reach_every_parameter_of_hr_net(global_channels):
 # The dual network
 
 
-@pytest.mark.slow
 @pytest.fixture(scope="module")
 def dual_of(encoder):
     """A dual network with new weights, in eval mode."""
@@ -182,6 +181,7 @@ def dual_of(encoder):
     return make
 
 
+@pytest.mark.slow
 def test_parameters_and_macs_of_both_are_those_fitted_to_the_papers_overhead_table():
     with torch.device("meta"):  # shapes without values
         dual, given = DualNet(LRNet("resnet50")), torch.zeros(1, 3, 384, 1248)
@@ -250,7 +250,6 @@ def test_the_link_and_its_settings_reach_sa_attention(dual_of, link, mixes):
     assert (attention.mixing, attention.similarity, attention.normalise) == (mixes, "l2", "mean")
 
 
-@pytest.mark.slow
 def test_lr_nets_decoder_changes_nothing_and_gives_its_depth_beside(dual_of):
     net = dual_of()
     seen = given_to(net.lr_net.encoder)
@@ -266,6 +265,7 @@ def test_lr_nets_decoder_changes_nothing_and_gives_its_depth_beside(dual_of):
     assert all(torch.allclose(a, b, atol=1e-5) for a, b in zip(low.disparities, expected.disparities))
 
 
+@pytest.mark.slow
 def test_under_bfloat16_features_stay_narrow_and_disparities_are_float32_and_finite(dual_of):
     net = dual_of().train()
     seen = given_to(net.hr_net.decoder.neck)

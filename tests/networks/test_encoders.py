@@ -169,7 +169,6 @@ def test_imagenet_weights_are_taken_from_a_local_folder(name, tmp_path):
     assert all(torch.equal(given[k], v) for k, v in taken.items())
 
 
-@pytest.mark.slow
 def test_weights_that_cannot_be_had_are_a_one_line_error(tmp_path):
     with pytest.raises(InputError, match="nowhere' cannot be loaded") as error:
         make_encoder("resnet18", pretrained=str(tmp_path / "nowhere"))
@@ -177,6 +176,7 @@ def test_weights_that_cannot_be_had_are_a_one_line_error(tmp_path):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.slow
 def test_weights_of_another_network_are_an_error(tmp_path):
     """Else the encoder would silently keep its random weights."""
     from transformers import ResNetConfig, ResNetModel, SwinForImageClassification

@@ -142,7 +142,6 @@ def test_damaged_file(parser, tmp_path, counted):
     fuzz(counted, write_and_read, bytes_of(whole))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["depth", "disparity"])
 @pytest.mark.parametrize("resize", ["depth", "disparity"])
 @pytest.mark.filterwarnings("ignore")
@@ -159,6 +158,7 @@ def test_any_floats_as_predictions(kind, resize, counted):
     fuzz(counted, score, arrays.arrays(floats, shapes), truths, st.booleans())
 
 
+@pytest.mark.slow
 def test_cards_of_networks(tmp_path, monkeypatch, counted):
     monkeypatch.setattr("dualdepth.networks.architecture.Architecture.build", lambda self, pretrained=False: network())
     monkeypatch.setattr(predict, "PoseNet", network)

@@ -41,7 +41,6 @@ def test_it_learns_one_triplet(run, profile_of, triplets, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["float32", BF16])
 def test_two_runs_with_one_seed_are_equal_to_the_bit_and_another_seed_is_not(run, profile_of, tmp_path, precision):
     def profile(workers):
@@ -53,6 +52,7 @@ def test_two_runs_with_one_seed_are_equal_to_the_bit_and_another_seed_is_not(run
     assert not equal(first, run("c", profile=profile(0), seed=1))
 
 
+@pytest.mark.slow
 def test_a_finished_run_leaves_weights_with_their_card_a_log_and_a_picture(run, tmp_path):
     run()
     folder = tmp_path / "run"
@@ -118,7 +118,6 @@ def test_the_learning_rate_steps_down_at_the_papers_epochs():
     assert all(rates[epoch] == {5e-5} for epoch in range(21, 41))
 
 
-@pytest.mark.slow
 def test_steps_are_whole_batches_of_all_epochs_unless_cut_short():
     assert total_steps(StageSettings(epochs=3), 10) == 6
     assert total_steps(StageSettings(epochs=3, max_steps=4), 10) == 4
@@ -135,6 +134,7 @@ def test_the_signal_handler_before_a_training_is_there_again_after_it(run, profi
         signal.signal(signal.SIGTERM, before)
 
 
+@pytest.mark.slow
 def test_steps_of_a_batch_that_is_cut_in_parts_average_the_parts(run, profile_of):
     """Gradients of the parts are averaged, not added: else the step would grow with `accumulate`."""
     seen = []

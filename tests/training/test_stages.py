@@ -173,7 +173,6 @@ def test_losses_are_float32_under_bfloat16(batch, low):
     assert all(torch.equal(a, b) for a, b in zip(losses, plain))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("link", ["attention", "embedding", "direct"])
 def test_the_log_has_the_scale_of_what_sa_attention_hands_over(dual_of, link):
     net, handed = dual_of(link), []
@@ -185,6 +184,7 @@ def test_the_log_has_the_scale_of_what_sa_attention_hands_over(dual_of, link):
         assert torch.allclose(statistics["attention_scale"], handed[0].square().mean().sqrt())
 
 
+@pytest.mark.slow
 def test_a_step_moves_hr_net_sa_attention_and_posenet_but_not_lr_net(dual_of):
     stage = seen_stage(False, dual_of("attention")).train()
     before = {name: value.clone() for name, value in stage.state_dict().items()}
