@@ -17,7 +17,7 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 SLOW = (
     *("data_scripts/test_make_miniature.py", "data_scripts/test_miniature_geometry.py", "data_scripts/test_own_camera.py"),
     *("data_scripts/own/test_checks.py", "inference/test_export.py", "inference/test_predict.py", "tables/test_table_backbone.py"),
-    *("tables/test_figures.py", "test_report.py"),
+    *("tables/test_figures.py", "test_report.py", "data_scripts/test_export_labels.py", "data_scripts/own/test_camera.py"),
 )
 """Files whose tests are slow, or share a slow fixture, beside those that say so themselves."""
 

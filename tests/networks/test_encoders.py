@@ -20,7 +20,7 @@ CHANNELS = {
     "mobilenet_v2": (16, 24, 32, 96, 320),
     "efficientnet_lite0": (16, 24, 40, 112, 320),
 }
-NAMES = list(CHANNELS)
+NAMES = [*(name for name in CHANNELS if name != "resnet50"), pytest.param("resnet50", marks=pytest.mark.slow)]
 
 
 @pytest.fixture(autouse=True)

@@ -28,7 +28,7 @@ from dualdepth.files import file_digest
 from dualdepth.inference import predict
 from dualdepth.training.weights import load_card, load_weights, save_weights
 
-pytestmark = pytest.mark.fuzz
+pytestmark = [pytest.mark.fuzz, pytest.mark.slow]
 
 DRIVE = "2011_09_26/2011_09_26_drive_0001_sync"
 PICTURE = np.random.default_rng(0).integers(0, 255, (12, 16, 3), np.uint8)
@@ -158,7 +158,6 @@ def test_any_floats_as_predictions(kind, resize, counted):
     fuzz(counted, score, arrays.arrays(floats, shapes), truths, st.booleans())
 
 
-@pytest.mark.slow
 def test_cards_of_networks(tmp_path, monkeypatch, counted):
     monkeypatch.setattr("dualdepth.networks.architecture.Architecture.build", lambda self, pretrained=False: network())
     monkeypatch.setattr(predict, "PoseNet", network)

@@ -22,7 +22,7 @@ from dualdepth.profile import load_profile
 from dualdepth.run import parse_seeds
 from dualdepth.training.weights import load_card
 
-pytestmark = pytest.mark.fuzz
+pytestmark = [pytest.mark.fuzz, pytest.mark.slow]
 
 DAY, DRIVE = "2011_09_26", "2011_09_26/2011_09_26_drive_0001_sync"
 NUMBERS = "2.2e+02 0 104 0 0 220 104 0 0 0 1 0"
