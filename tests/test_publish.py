@@ -2,12 +2,10 @@
 
 import base64
 import json
-import re
 
 import cv2
 import nbformat
 import numpy as np
-import pandas as pd
 import pytest
 
 from dualdepth.errors import InputError
@@ -118,24 +116,6 @@ def test_the_copy_that_ran_with_the_notebooks_own_parameters_is_stored(project):
     assert "papermill" not in stored.metadata and "papermill" not in stored.cells[-1].metadata
     assert [cell.id for cell in stored.cells] == ["05_a"[:2] + f"-0{n}" for n in range(3)]  # what was injected is gone
     assert [cell.execution_count for cell in stored.cells if cell.cell_type == "code"] == [1, 2]
-
-
-def test_a_styled_table_is_stored_alike_each_time(project):
-    """Its rows and rules keep to one name, another than that of the table beside it."""
-    source, executed = project / "notebooks" / "05_a.ipynb", project / "results/tiny/notebooks/05_a.ipynb"
-    stored = []
-    for _ in range(2):
-        write_notebook(source)
-        write_notebook(executed, "a table", {"profile": "tiny", "seed": 0})
-        notebook = nbformat.read(executed, as_version=4)
-        for _ in range(2):
-            html = pd.DataFrame({"a": [1]}).style.highlight_max().to_html()
-            notebook.cells[-1].outputs.append(nbformat.v4.new_output("display_data", {"text/html": html}))
-        nbformat.write(notebook, executed)
-        publish_notebooks()
-        stored.append([output.data["text/html"] for output in nbformat.read(source, as_version=4).cells[-1].outputs[1:]])
-    assert stored[0] == stored[1]
-    assert [set(re.findall(r"T_[0-9a-f_]+?(?=_row|_level|\")", html)) for html in stored[0]] == [{"T_2_1"}, {"T_2_2"}]
 
 
 def test_executed_notebooks_of_a_world_that_learned_are_kept_with_small_pictures(project, results_of):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dualdepth.errors import InputError
-from dualdepth.evaluation.make3d import CONVENTIONS, evaluate_make3d, on_grid, visible
+from dualdepth.evaluation.make3d import CONVENTIONS, evaluate_make3d, visible
 
 GRID = (55, 305)
 
@@ -124,12 +124,6 @@ def test_what_is_shown_and_what_is_scored_belong_together(convention, shown, siz
     assert error(seen(*shown, size)[:, ::-1]) > 2.5 * right
     # read in the wrong order of rows and columns
     assert error(seen(*shown, size).reshape(size[::-1])) > 2.5 * right
-
-
-def test_the_cells_are_the_nearest_and_not_a_mixture():
-    prediction = np.where(np.arange(192)[:, None] < 96, 2.0, 50.0) * np.ones((1, 576))
-    for convention in CONVENTIONS:
-        assert set(np.unique(on_grid(prediction, convention))) == {2.0, 50.0}
 
 
 def test_bad_input_is_one_clear_error():
