@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch.autograd import gradcheck
 
-from dualdepth.networks.attention import STARTING_RMS, WIDTH, Normalise, SelfAssembledAttention, Similarity, distances
+from dualdepth.networks.attention import STARTING_RMS, WIDTH, Normalise, SelfAssembledAttention, Similarity
 
 CHANNELS, SIZE = 5, (2, 3)
 SIMILARITIES, NORMALISES = get_args(Similarity), get_args(Normalise)
@@ -122,19 +122,6 @@ def test_equal_positions_have_finite_gradients(similarity, normalise, value):
 def test_its_gradients_are_those_of_finite_differences(similarity, normalise):
     attention = attention_of(similarity, normalise)
     assert gradcheck(lambda f: f @ attention.weights(f), embedded(positions=4, width=3).requires_grad_())
-
-
-@pytest.mark.parametrize("order", [1, 2])
-def test_distances_have_the_gradients_of_finite_differences_off_the_diagonal(order):
-    apart = ~torch.eye(4, dtype=torch.bool)
-    assert gradcheck(lambda f: distances(f, order)[:, apart], embedded(positions=4, width=3).requires_grad_())
-
-
-@pytest.mark.parametrize(("similarity", "normalise"), [("gaussian", "none"), ("dot", "sum"), ("l2", None)])
-def test_an_unknown_setting_is_refused_with_the_known_ones(similarity, normalise):
-    known = ", ".join(SIMILARITIES if similarity == "gaussian" else NORMALISES)
-    with pytest.raises(ValueError, match=f"unknown: choose one of {known}"):
-        SelfAssembledAttention(CHANNELS, similarity, normalise)
 
 
 @pytest.mark.parametrize("mixing", [True, False])
