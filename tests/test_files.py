@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 
 import numpy as np
 import pytest
@@ -122,12 +121,6 @@ def test_the_lock_is_free_again_after_a_run_and_after_a_failed_one(tmp_path):
         _ = 1 / 0
     with locked(path):
         pass
-
-
-def test_who_is_ending_is_waited_for(tmp_path, held):
-    threading.Timer(0.3, held().kill).start()
-    with locked(tmp_path / "lock", patience=20):
-        assert str(os.getpid()) in (tmp_path / "lock").read_text()
 
 
 def test_the_program_that_a_process_becomes_does_not_hold_its_lock(tmp_path, held):

@@ -58,15 +58,6 @@ def test_road_is_road_alone_and_green_is_vegetation_and_terrain():
     assert frame["valid_pixels"].to_dict() == {(0, ROAD): 1, (0, GREEN): 2}
 
 
-def test_labels_outside_the_crop_and_where_nothing_is_measured_do_not_count():
-    truth = np.full((100, 200), 10.0)
-    truth[50] = 0
-    labels = np.full(truth.shape, 255, np.uint8)
-    labels[:60] = 0  # the crop begins at row 40, columns 7 to 192
-    frame = evaluate_regions([np.ones((5, 10))], [truth], [labels])
-    assert frame["valid_pixels"].to_dict() == {(0, ROAD): 19 * (192 - 7)}
-
-
 def test_images_without_a_pixel_of_a_region_have_no_row_for_it():
     truth = np.full((1, 8), 10.0)
     labels = [np.array([row], np.uint8) for row in ([0] * 5 + [8] * 3, [2] * 8, [0] + [2] * 7)]

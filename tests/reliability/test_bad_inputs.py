@@ -13,7 +13,7 @@ from dualdepth.cli import main
 from dualdepth.errors import InputError
 from dualdepth.run import parse_seeds
 
-REPOSITORY = Path(__file__).parents[2]
+EXPORT = str(Path(__file__).parents[2] / "data_scripts/export_depth.py")
 LOGS = ("log.csv", "events.out.tfevents", "panels", "seed0/lock")
 """What a training writes before it reads its first frame."""
 
@@ -99,7 +99,7 @@ def test_folders_with_spaces_and_other_letters_work(world, tmp_path, monkeypatch
         (
             "scans",
             "list.txt",
-            [str(REPOSITORY / "data_scripts/export_depth.py"), "--kitti", "kitti", "--list", "list.txt", "--out", "out.npz"],
+            [EXPORT, "--kitti", "kitti", "--list", "list.txt", "--out", "out.npz"],
         ),
         ("PNG frames", "own.yaml", ["-m", "dualdepth.cli", "train", "--profile", "own.yaml"]),
     ],

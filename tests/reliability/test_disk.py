@@ -9,7 +9,7 @@ from small_nets import equal
 from small_training import at_forward, kill_softly
 
 from dualdepth.errors import InputError
-from dualdepth.training.checkpoints import checkpoint_path, last_checkpoint
+from dualdepth.training.checkpoints import checkpoint_path
 
 pytestmark = pytest.mark.slow
 
@@ -61,20 +61,3 @@ def test_a_folder_that_vanishes_is_made_again(run, whole, tmp_path, counted):
     with counted():
         assert equal(run(kind=at_forward(3, lambda _: shutil.rmtree(tmp_path / "run"))), whole)
         assert (tmp_path / "run/model.json").exists()
-
-
-def test_checkpoints_that_vanish_cost_their_steps_alone(run, whole, tmp_path, counted):
-    folder = tmp_path / "run"
-    with pytest.raises(SystemExit):
-        run(kind=at_forward(4, kill_softly))
-    checkpoint_path(folder, 4).unlink()
-    with counted():
-        assert last_checkpoint(folder)["step"] == 2
-        assert equal(run(), whole)
-
-
-def test_a_frame_that_vanishes_is_named(run, kitti_root, counted):
-    frame = sorted(kitti_root.rglob("*.png"))[2]
-    with counted(), pytest.raises(InputError, match=rf"{frame.name}: .*") as error:
-        run(kind=at_forward(1, lambda _: frame.unlink()))
-    assert "\n" not in str(error.value)

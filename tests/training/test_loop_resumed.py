@@ -123,11 +123,3 @@ def test_a_log_that_cannot_be_written_is_a_warning(run, whole, monkeypatch, caps
     monkeypatch.setattr("dualdepth.training.log.write_text", refuse)
     assert equal(run("full"), whole)
     assert "warning: the log was not written ([Errno 28] No space left on device)" in capsys.readouterr().out
-
-
-def test_leftovers_of_a_killed_writer_are_removed(run, profile_of, tmp_path):
-    leftover = tmp_path / "run/.checkpoint_00000004.0123abcd.part.pt"
-    leftover.parent.mkdir()
-    leftover.write_bytes(b"half")
-    run(profile=profile_of(stage={"max_steps": 1}))
-    assert not leftover.exists()
