@@ -129,11 +129,11 @@ def test_a_dry_run_names_changed_code_by_its_folder_and_a_changed_notebook(chain
         shutil.copytree(project_root() / folder, chain.root / folder)
     for file, more in (("evaluation/depth.py", "X = 1\n"), ("training/loop.py", "# a comment\n")):
         (chain.root / "dualdepth" / file).open("a").write(more)
-    notebook = chain.root / "notebooks/04_train_hr.ipynb"
+    notebook = chain.root / "notebooks/06_table_make3d.ipynb"
     notebook.write_text(notebook.read_text().replace("profile = ", "profile =  "))
     why = chain.would_run()
-    assert "('code evaluation', " in why["05_table_main"] and not {"download_data", "train_lr"} & why.keys()
-    assert "('notebook 04_train_hr', " in why["train_dual"]
+    assert "('code evaluation', " in why["05_table_main"] and not {"download_data", "train_lr", "train_dual"} & why.keys()
+    assert "('notebook 06_table_make3d', " in why["06_table_make3d"]
 
 
 def test_a_dry_run_needs_no_lock(chain):
