@@ -13,6 +13,7 @@ from dualdepth.cli import main
 from dualdepth.errors import InputError
 from dualdepth.run import parse_seeds
 
+pytestmark = pytest.mark.slow
 EXPORT = str(Path(__file__).parents[2] / "data_scripts/export_depth.py")
 LOGS = ("log.csv", "events.out.tfevents", "panels", "seed0/lock")
 """What a training writes before it reads its first frame."""
@@ -52,16 +53,7 @@ def lines(err: str) -> list[str]:
     return [line for line in err.replace("\r", "\n").splitlines() if line.strip() and "%|" not in line]
 
 
-def trains(world: str) -> list[pytest.MarkDecorator]:
-    """The mark of what trains a step."""
-    return [pytest.mark.slow] if world in ("PNG frames", "JPEG frames", "stage 2") else []
-
-
-def case_name(case: Case) -> str:
-    return f"{case.world}-{Path(case.file).name}-{case.what}".replace(" ", "_")
-
-
-@pytest.mark.parametrize("case", [pytest.param(case, marks=trains(case.world), id=case_name(case)) for case in CASES])
+@pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case.world}-{Path(case.file).name}-{case.what}".replace(" ", "_"))
 def test_the_table(case, tmp_path, monkeypatch, server, capfd, recwarn, counted):
     monkeypatch.chdir(tmp_path)
     call = call_of(case, tmp_path, server)
@@ -82,7 +74,7 @@ def test_the_table(case, tmp_path, monkeypatch, server, capfd, recwarn, counted)
         assert {name for name in files(tmp_path) - before if not name.startswith(case.leaves)} == set() and before <= files(tmp_path)
 
 
-@pytest.mark.parametrize("world", [pytest.param(world, marks=trains(world)) for world in [*WORLDS, *SERVED]])
+@pytest.mark.parametrize("world", [*WORLDS, *SERVED])
 def test_folders_with_spaces_and_other_letters_work(world, tmp_path, monkeypatch, server, counted):
     folder = tmp_path / "mein Ordner ñ 深度 'x'"
     folder.mkdir()
@@ -91,7 +83,6 @@ def test_folders_with_spaces_and_other_letters_work(world, tmp_path, monkeypatch
         assert (SERVED[world](folder, server) if world in SERVED else WORLDS[world](folder))() == 0
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "world, file, command",
     [
