@@ -11,7 +11,7 @@ export OMP_WAIT_POLICY := PASSIVE
 STAMP := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help env reproduce status test soak mutants lab lint browser lock bench publish notebooks clean
+.PHONY: help env reproduce status test fast soak mutants lab lint browser lock bench publish notebooks clean
 
 help: ## what can be made
 	@echo "make reproduce [PROFILE=miniature] [KITTI_ROOT=dir] [ODOMETRY_ROOT=dir] [MAKE3D_ROOT=dir] [LABELS_ROOT=dir] [TEST_LIST=file]"
@@ -36,11 +36,14 @@ status: env ## which steps `make reproduce` with the same settings would run, an
 	@said=$$($(REPRODUCE) -- --dry-run) && echo "$$said" | grep -E '^((local)?rule|    (wildcards|reason)|Nothing to be done)'
 
 test: env lint ## lint, unit tests, the tiny chain, notebooks against their stored outputs
-	pytest $(SIDE_BY_SIDE) --dist worksteal
+	pytest -m "not soak" $(SIDE_BY_SIDE) --dist worksteal
 	dualdepth reproduce --profile tiny
 	pytest --nbval $(SIDE_BY_SIDE) --dist loadscope $(filter-out $(REPORT),$(NOTEBOOKS))
-	pytest --nbval $(REPORT)
+	pytest --nbval --numprocesses 0 $(REPORT)
 	@echo "all tests passed; the notebooks' data and weights are in work/tiny, tables and figures in results/tiny"
+
+fast: env ## the fast ring of the unit tests, a minute; with the environment at hand `pytest` does the same
+	pytest
 
 mutants: env ## break lines of the science one at a time, and see that the tests notice each
 	python -m tests.mutants

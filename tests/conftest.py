@@ -14,6 +14,20 @@ from small_encoder import save_encoder
 from small_kitti import write_calibration, write_drive
 
 REPOSITORY = Path(__file__).resolve().parents[1]
+SLOW = (
+    *("data_scripts/test_make_miniature.py", "data_scripts/test_miniature_geometry.py", "data_scripts/test_own_camera.py"),
+    *("data_scripts/own/test_checks.py", "inference/test_export.py", "inference/test_predict.py", "tables/test_table_backbone.py"),
+    *("tables/test_figures.py", "test_report.py", "data_scripts/test_export_labels.py", "data_scripts/own/test_camera.py"),
+)
+"""Files whose tests are slow, or share a slow fixture, beside those that say so themselves."""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Mark the tests of these files."""
+    for item in items:
+        if item.nodeid.partition("::")[0].removeprefix("tests/") in SLOW:
+            item.add_marker(pytest.mark.slow)
 
 
 @pytest.fixture(scope="session")

@@ -25,7 +25,8 @@ def failing(root: Path, file: str, old: str, new: str, tests: list[str], **_: st
     if whole.count(old) != 1:
         raise ValueError(f"{old!r} stands {whole.count(old)} times in {file}; mend tests/mutants.yaml")
     path.write_text(whole.replace(old, new), encoding="utf-8")
-    words = ["-m", "pytest", "-x", "-q", "-rfE", "-p", "no:cacheprovider", *(f"tests/{name}" for name in tests)]
+    options = ["-x", "-q", "-rfE", "-n", "0", "-m", "not soak", "-p", "no:cacheprovider"]
+    words = ["-m", "pytest", *options, *(f"tests/{name}" for name in tests)]
     environment = os.environ | {"PYTHONPATH": str(root), "PYTHONDONTWRITEBYTECODE": "1"}
     done = subprocess.run([sys.executable, *words], cwd=root, env=environment, capture_output=True, text=True, check=False)
     path.write_text(whole, encoding="utf-8")

@@ -9,16 +9,13 @@ import torch
 from safetensors.torch import load_file
 from small_encoder import save_encoder
 from small_kitti import DRIVE, write_calibration, write_drive
-from small_nets import equal, with_heads  # noqa: F401
-from small_training import quiet_torch  # noqa: F401
+from small_nets import with_heads
 
-from data_scripts.prepare_data import write_identity
-from dualdepth.data.triplets import drive_triplets, write_targets
 from dualdepth.networks.depth_nets import DualNet, LRNet
 from dualdepth.profile import load_profile
-from dualdepth.run import Run, Sources
 from dualdepth.training.stages import Stage
 from dualdepth.training.variants import train_variant
+from tests.small_checkout import checkout_of, prepare
 
 OTHER = "2011_09_26/2011_09_26_drive_0002_sync"
 STEPS = 3
@@ -51,38 +48,26 @@ def dual_of(encoder):
     return make
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def backbones(tmp_path_factory):
     """Folders of two small ResNets."""
     return SimpleNamespace(usual=save_encoder(tmp_path_factory.mktemp("usual")), other=save_encoder(tmp_path_factory.mktemp("other"), 80))
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def run_in(backbones):
     """A run in a folder that looks like a checkout, with changes of its profile."""
 
     def make(root, encoder=backbones.usual, hr_size=(192, 192), lr=None, train=None):
-        values = {
-            "about": "a test",
-            "data": {"source": "kitti", "train_drives": [DRIVE], "hr_size": hr_size},
-            "training": {
-                **{"encoder": encoder, "pretrained": False, "workers": 0, "precision": "float32", "checkpoint_every": 2, "log_every": 1},
-                "lr": lr or {"batch_size": 1, "max_steps": 2},
-                "hr": {"batch_size": 1, "epochs": 1},
-            },
-            "train": train or {"lr": None, "dual": None, "dual_no_sa": None, "hr_only": ONE_STEP, "one_network": ONE_STEP},
-            "variants": {"one_network": {"label": "one", "about": "one network", "network": "single"}},
-        }
-        (root / "notebooks").mkdir(exist_ok=True)
-        (root / "Snakefile").touch()
-        path = root / "own.yaml"
-        path.write_text(json.dumps(values))  # JSON is YAML
-        return Run(str(path), root)
+        stages = {"lr": lr or {"batch_size": 1, "max_steps": 2}, "hr": {"batch_size": 1, "epochs": 1}}
+        train = train or {"lr": None, "dual": None, "dual_no_sa": None, "hr_only": ONE_STEP, "one_network": ONE_STEP}
+        one = {"one_network": {"label": "one", "about": "one network", "network": "single"}}
+        return checkout_of(root, encoder, stages, hr_size, train=train, variants=one)
 
     return make
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def trained(run_in, tmp_path_factory):
     """A run whose `lr` was trained on one drive and whose `dual` on another; not to be changed."""
     root = tmp_path_factory.mktemp("checkout")
@@ -91,11 +76,8 @@ def trained(run_in, tmp_path_factory):
     for drive in (DRIVE, OTHER):
         write_drive(kitti, range(STEPS + 2), drive)
     run = run_in(root)
-    Sources(kitti_root=kitti, test_list=root / "test_files.txt").save(run)
     for drive, variant in ((DRIVE, "lr"), (OTHER, "dual")):
-        targets = drive_triplets(kitti, [drive])
-        write_targets(run.index("lr"), kitti, targets)
-        write_identity(run, Sources.load(run), targets)
+        prepare(run, drive)
         assert train_variant(run, variant, 0) == run.weights(variant, 0)
     return run
 

@@ -1,6 +1,5 @@
 """Trainings of a small LR-Net on a few frames: fixtures and events that tests of the loop share."""
 
-import json
 import os
 import signal
 
@@ -9,14 +8,15 @@ import torch
 from accelerate.state import AcceleratorState
 from safetensors.torch import load_file
 from small_kitti import DRIVE
-from small_nets import equal  # noqa: F401
 
 from dualdepth.data.triplets import drive_triplets, load_triplets, write_targets
 from dualdepth.networks.depth_nets import LRNet
 from dualdepth.networks.pose_net import PoseNet
 from dualdepth.profile import load_profile
+from dualdepth.training.log import read_log
 from dualdepth.training.loop import Trainer
 from dualdepth.training.stages import Stage
+from tests.small_checkout import write_profile
 
 STEPS = 6
 WHOLE = {}
@@ -37,16 +37,8 @@ def profile_of(encoder, tmp_path):
     """A profile for tiny trainings, with changes like `training={"workers": 1}` or `stage={"epochs": 3}`."""
 
     def make(training=None, stage=None, loss=None, augmentation=None, hr_size=(192, 192)):
-        settings = {"workers": 0, "precision": "float32", "checkpoint_every": 2, "log_every": 1} | (training or {})
-        values = {
-            "about": "a test",
-            "data": {"source": "kitti", "train_drives": [DRIVE], "hr_size": hr_size},
-            "training": {"encoder": encoder, "pretrained": False, **settings}
-            | {"lr": {"epochs": 2, "batch_size": 1} | (stage or {}), "loss": loss or {}, "augmentation": augmentation or {}},
-        }
-        path = tmp_path / "own.yaml"
-        path.write_text(json.dumps(values))  # JSON is YAML
-        return load_profile(str(path))
+        stages = {"lr": {"epochs": 2, "batch_size": 1} | (stage or {}), "loss": loss or {}, "augmentation": augmentation or {}}
+        return load_profile(write_profile(tmp_path / "own.yaml", encoder, (training or {}) | stages, hr_size))
 
     return make
 
@@ -79,17 +71,28 @@ def run(profile_of, triplets, tmp_path):
 
 
 @pytest.fixture
-def whole(run, request):
-    """Weights of the module's undisturbed training, trained once, since they are the same for each test."""
-    if request.module.__name__ not in WHOLE:
-        WHOLE[request.module.__name__] = run("whole")
-    return WHOLE[request.module.__name__]
+def whole_and_log(run, request, tmp_path):
+    """Weights and log of the module's undisturbed training, trained once, since they are the same for each test."""
+    if request.module not in WHOLE:
+        WHOLE[request.module] = run("whole"), log_of(tmp_path / "whole")
+    return WHOLE[request.module]
 
 
-def at_forward(number, event):
+@pytest.fixture
+def whole(whole_and_log):
+    """The weights alone."""
+    return whole_and_log[0]
+
+
+def log_of(folder):
+    """A training's log without its speed."""
+    return read_log(folder / "log.csv").drop(columns="steps_per_second")
+
+
+def at_forward(number, event, kind=Stage):
     """A stage that calls `event(output)` on its forward with this number, and gives what that returns."""
 
-    class Disturbed(Stage):
+    class Disturbed(kind):
         calls = 0
 
         def forward(self, batch, *phase):

@@ -105,7 +105,12 @@ def test_there_are_commands():
     assert {entry_of(c) for c in fenced_commands() if c.page == "README.md"} >= {*EXECUTED[:2], EXECUTED[3], "make", "torchrun", "srun"}
 
 
-@pytest.mark.parametrize("command", fenced_commands(), ids=named)
+def in_its_ring(command: Command) -> object:
+    """An export takes ten seconds."""
+    return pytest.param(command, marks=[pytest.mark.slow] if command.words[:2] == ["dualdepth", "export"] else [], id=named(command))
+
+
+@pytest.mark.parametrize("command", [in_its_ring(command) for command in fenced_commands()])
 def test_every_command_runs_on_small_data_or_is_dry_run(command, small_world, monkeypatch, capsys):
     entry = entry_of(command)
     assert entry, f"{named(command)}: a new command; add it to EXECUTED or DRY in tests/test_docs.py"

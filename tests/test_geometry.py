@@ -44,15 +44,6 @@ def test_warp_with_the_identity_pose_gives_the_image(height, width):
     assert torch.allclose(sample(image, pixel), image, atol=5e-4)
 
 
-def test_moving_parallel_to_the_image_plane_shifts_by_focal_length_times_translation_over_depth():
-    height, width, depth = 12, 40, 8.0
-    k = camera(height, width)
-    pixel, _ = reproject(torch.full((1, 1, height, width), 1 / depth), pose(0.7, -0.3, 0, 0, 0, 0), k)
-    u, v = grid(height, width)
-    assert torch.allclose(pixel[0, ..., 0], u + k[0, 0, 0] * 0.7 / depth, atol=1e-4)
-    assert torch.allclose(pixel[0, ..., 1], v - k[0, 1, 1] * 0.3 / depth, atol=1e-4)
-
-
 def test_the_warp_undoes_a_sideways_motion_of_a_wall():
     height, width, shift, depth = 10, 40, 4, 5.0
     target = torch.rand(1, 3, height, width, generator=torch.Generator().manual_seed(0))
@@ -61,41 +52,6 @@ def test_the_warp_undoes_a_sideways_motion_of_a_wall():
     pixel, valid = reproject(torch.full((1, 1, height, width), 1 / depth), pose(shift * depth / k[0, 0, 0], 0, 0, 0, 0, 0), k)
     assert torch.allclose(sample(source, pixel)[..., : width - shift], target[..., : width - shift], atol=1e-4)
     assert valid[0, 0].all(dim=0).tolist() == [True] * (width - shift) + [False] * shift
-
-
-def test_moving_forward_expands_the_image_about_the_principal_point():
-    height, width, depth, step = 11, 41, 10.0, 2.0
-    k = camera(height, width)
-    pixel, _ = reproject(torch.full((1, 1, height, width), 1 / depth), pose(0, 0, -step, 0, 0, 0), k)
-    u, v = grid(height, width)
-    growth = depth / (depth - step)
-    assert torch.allclose(pixel[0, ..., 0], k[0, 0, 2] + (u - k[0, 0, 2]) * growth, atol=1e-4)
-    assert torch.allclose(pixel[0, ..., 1], k[0, 1, 2] + (v - k[0, 1, 2]) * growth, atol=1e-4)
-
-
-def test_the_focus_of_expansion_stands_still_whatever_its_depth():
-    height, width, u, v = 12, 40, 26, 3
-    k = camera(height, width)
-    heading = torch.linalg.inv(k[0]) @ torch.tensor([u, v, 1.0])
-    for disparity in (0.02, 0.3, 0.9):
-        pixel, valid = reproject(torch.full((1, 1, height, width), disparity), pose(*(-0.5 * heading), 0, 0, 0), k)
-        assert torch.allclose(pixel[0, v, u], torch.tensor([26.0, 3.0]), atol=1e-4)
-        assert valid[0, 0, v, u]
-
-
-def test_a_pure_rotation_moves_pixels_independently_of_depth():
-    k = camera(12, 40)
-    near, _ = reproject(torch.full((1, 1, 12, 40), 10.0), pose(0, 0, 0, 0.02, -0.05, 0.1), k)
-    far, _ = reproject(disparities(12, 40), pose(0, 0, 0, 0.02, -0.05, 0.1), k)
-    assert torch.allclose(near, far, atol=1e-4)
-    assert (near - torch.stack(grid(12, 40), -1)).abs().max() > 1
-
-
-def test_a_yaw_moves_the_principal_point_by_focal_length_times_tangent():
-    k, angle = torch.tensor([[[30.0, 0, 20], [0, 30, 6], [0, 0, 1]]]), 0.2
-    pixel, _ = reproject(torch.ones(1, 1, 12, 40), pose(0, 0, 0, 0, angle, 0), k)
-    assert pixel[0, 6, 20, 0].item() == pytest.approx(20 + 30 * np.tan(angle), abs=1e-4)
-    assert pixel[0, 6, 20, 1].item() == pytest.approx(6, abs=1e-4)
 
 
 def test_points_behind_the_source_camera_are_invalid_and_finite():

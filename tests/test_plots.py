@@ -5,18 +5,6 @@ import numpy as np
 from dualdepth.plots import point_errors
 
 
-def test_a_point_shows_its_error_in_a_disc_around_it_and_nothing_beyond():
-    truth = np.zeros((15, 21))
-    truth[7, 10] = 10
-    prediction = np.full(truth.shape, 3.0)
-    prediction[7, 10] = 12.5
-    rows, columns = np.mgrid[:15, :21]
-    near = np.hypot(rows - 7, columns - 10) <= 2.5
-    error = point_errors(prediction, truth)
-    np.testing.assert_allclose(error[near], 0.25)
-    assert near.sum() == 21 and np.isnan(error[~near]).all()
-
-
 def test_a_pixel_shows_the_nearest_of_several_points():
     rng = np.random.default_rng(0)
     truth = rng.uniform(5, 50, (30, 40)) * (rng.random((30, 40)) < 0.03)

@@ -62,6 +62,7 @@ def loaded_by(code):
     return set(said.split("LOADED")[1].split())
 
 
+@pytest.mark.slow
 def test_a_training_loads_no_scripts_tables_predictions_or_report():
     loaded = loaded_by("import dualdepth.training.variants")
     assert "dualdepth.training.loop" in loaded
@@ -73,6 +74,7 @@ def test_a_training_loads_no_scripts_tables_predictions_or_report():
 HEAVY = {"torch", "transformers", "pandas", "numpy", "scipy", "snakemake", "cv2", "matplotlib", "kornia", "accelerate", "papermill", "PIL"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", ["", "evaluate depth", "evaluate odometry", "reproduce", "predict", "train", "export", "notebook"])
 def test_help_loads_nothing_heavy(words):
     loaded = loaded_by(f"from dualdepth.cli import main\ntry:\n    main({[*words.split(), '--help']})\nexcept SystemExit:\n    pass")

@@ -68,7 +68,7 @@ def recipe(project):
 
 def test_a_recipe_changes_with_triplets_and_settings_that_shape_the_weights(recipe):
     plain = recipe()
-    assert recipe("training: {workers: 3, log_every: 7}\n") == plain == recipe(weights="b")
+    assert recipe("training: {workers: 3, log_every: 7, accumulate: 2}\n") == plain == recipe(weights="b")
     assert recipe(triplets="y") != plain
     assert recipe(identity='{"frames": 1}') != plain
     for setting in ("lr: {batch_size: 2}", "precision: float32", "encoder: resnet18", "loss: {feature: 0}"):

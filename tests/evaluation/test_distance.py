@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 from slow_metrics import slow_metrics
 
-from dualdepth.errors import InputError
-from dualdepth.evaluation.depth import METRICS, evaluate, evaluate_parts
+from dualdepth.evaluation.depth import evaluate, evaluate_parts
 from dualdepth.evaluation.distance import near_and_far
 
 NEAR, FAR = "<= 20 m", "> 20 m"
@@ -56,47 +55,6 @@ def test_exactly_20_m_is_near_and_the_next_number_is_far():
     assert frame["valid_pixels"].to_dict() == {(0, NEAR): 3, (0, FAR): 1}
 
 
-def test_the_truth_says_which_part_a_pixel_belongs_to():
-    truth = np.array([[10.0, 10, 10, 19, 30]])
-    prediction = np.array([[10.0, 10, 10, 38, 15]])
-    frame = evaluate_parts([prediction], [truth], near_and_far, crop="none")
-    assert frame["valid_pixels"].tolist() == [4, 1]
-    assert frame["abs_rel"].tolist() == pytest.approx([1 / 4, 0.5])
-
-
-def test_an_image_has_one_ratio_unless_each_part_is_given_its_own():
-    truth = np.array([[10.0, 10, 10, 40, 40]])
-    prediction = np.array([[1.0, 1, 1, 2, 2]])  # times ten the near part is exact, the far part half of what it should be
-    one = evaluate_parts([prediction], [truth], near_and_far, crop="none")
-    assert one["abs_rel"].to_dict() == pytest.approx({(0, NEAR): 0, (0, FAR): 0.5})
-    own = evaluate_parts([prediction], [truth], near_and_far, crop="none", own_ratio=True)
-    assert own["abs_rel"].tolist() == pytest.approx([0, 0])
-
-
-def test_a_parts_own_ratio_is_of_what_was_predicted_before_any_clamp():
-    truth = np.array([[10.0] * 5 + [30, 40, 50]])
-    prediction = np.array([[1.0] * 5 + [30, 40, 50]])  # at the image's ratio of ten the far part would be 80 throughout
-    own = evaluate_parts([prediction], [truth], near_and_far, crop="none", own_ratio=True)
-    np.testing.assert_allclose(own["abs_rel"], 0, atol=1e-12)
-    one = evaluate_parts([prediction], [truth], near_and_far, crop="none")
-    assert one.loc[(0, FAR), "abs_rel"] == pytest.approx((50 / 30 + 1 + 30 / 50) / 3)
-
-
-def test_a_part_is_clamped_after_its_own_scaling():
-    truth = np.array([[10.0] * 5 + [30, 40, 50]])
-    prediction = np.array([[1.0] * 4 + [1e-6] + [3, 4, 5000]])
-    own = evaluate_parts([prediction], [truth], near_and_far, crop="none", own_ratio=True, min_depth=5)
-    assert own.loc[(0, FAR), "abs_rel"] == pytest.approx(30 / 50 / 3)
-    assert own.loc[(0, NEAR), "abs_rel"] == pytest.approx(5 / 10 / 5)
-
-
-@pytest.mark.parametrize("own_ratio", [False, True])
-def test_a_perfect_prediction_scores_zeros_and_ones_in_both_parts(own_ratio):
-    truth = np.random.default_rng(0).uniform(1, 79, (40, 60))
-    frame = evaluate_parts([truth], [truth], near_and_far, own_ratio=own_ratio)
-    np.testing.assert_allclose(frame[list(METRICS)], [[0, 0, 0, 0, 1, 1, 1]] * 2, atol=1e-12)
-
-
 def test_only_the_parts_that_an_image_has_get_a_row():
     near, none, far = np.full((20, 30), 8.0), np.zeros((20, 30)), np.full((20, 30), 33.0)
     frame = evaluate_parts([np.ones((4, 6))] * 4, [near, none, far, np.hstack([near, far])], near_and_far)
@@ -112,13 +70,3 @@ def test_the_parts_together_are_the_pixels_of_the_protocol():
     assert pixels.groupby("image").sum().tolist() == whole["valid_pixels"].tolist()
     mixed = (parts["abs_rel"] * pixels).groupby("image").sum() / pixels.groupby("image").sum()
     np.testing.assert_allclose(mixed, whole["abs_rel"])
-
-
-def test_an_empty_or_unequal_input_is_one_clear_error():
-    depth = np.full((20, 40), 10.0)
-    with pytest.raises(InputError, match="none of the 1 ground truths has a valid pixel"):
-        evaluate_parts([depth], [np.zeros_like(depth)], near_and_far)
-    with pytest.raises(InputError, match="holds 2 predictions but there are 1 ground truths"):
-        evaluate_parts([depth, depth], [depth], near_and_far)
-    with pytest.raises(InputError, match="image 1: the depth holds NaN"):
-        evaluate_parts([depth, np.full_like(depth, np.nan)], [depth, depth], near_and_far)

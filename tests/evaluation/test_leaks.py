@@ -66,28 +66,17 @@ def test_the_commands_refuse_a_leak_unless_allowed(scored, capsys, refused, comm
 
 
 @pytest.mark.parametrize(
-    ("trained", "sequence", "said"),
-    [
-        ("odometry/09", "09", "was trained on odometry/09"),
-        ("x", "9", "sequence '9': give one of 00, 01"),
-        ("x", "seq09", "sequence 'seq09'"),
-    ],
-)
-def test_sequences_of_the_world_are_guarded_too_and_must_be_named_well(scored, refused, trained, sequence, said):
-    weights([trained])
-    assert said in refused(main, [*POSES[:-1], sequence])
-
-
-@pytest.mark.parametrize(
     ("command", "said"),
     [
+        (POSES, "was trained on odometry/09"),
+        ([*POSES[:-1], "9"], "sequence '9': give one of 00, 01"),
         (DEPTH, "list.txt: lists 1 frames but G.npz holds 2"),
         (DEPTH[:-2], "--weights and --list guard together"),
         (DEPTH[:-4] + DEPTH[-2:], "--weights and --list guard together"),
     ],
-    ids=["a list of other frames", "no list", "no weights"],
+    ids=["a sequence of the world", "a bad name", "a list of other frames", "no list", "no weights"],
 )
-def test_half_a_guard_guards_nothing(scored, refused, command, said):
-    weights([])
+def test_half_a_guard_guards_nothing_and_sequences_of_the_world_are_guarded_too(scored, refused, command, said):
+    weights(["odometry/09"])
     Path("list.txt").write_text("2011_09_26/2011_09_26_drive_0001_sync 0000000000 l\n")
     assert said in refused(main, command)

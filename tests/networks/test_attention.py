@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch.autograd import gradcheck
 
-from dualdepth.networks.attention import STARTING_RMS, WIDTH, Normalise, SelfAssembledAttention, Similarity, coordinates, distances
+from dualdepth.networks.attention import STARTING_RMS, WIDTH, Normalise, SelfAssembledAttention, Similarity
 
 CHANNELS, SIZE = 5, (2, 3)
 SIMILARITIES, NORMALISES = get_args(Similarity), get_args(Normalise)
@@ -75,66 +75,6 @@ def test_it_is_the_weighted_sum_over_all_positions(similarity, normalise):
         np.testing.assert_allclose(found[item], expected, rtol=1e-3, atol=1e-4 * np.abs(expected).max())
 
 
-@pytest.mark.parametrize(("similarity", "normalise"), SETTINGS)
-def test_mixed_positions_give_mixed_results(similarity, normalise):
-    """No position is special but by its coordinates."""
-    attention = attention_of(similarity, normalise)
-    with torch.no_grad():
-        attention.embed.weight[:, -2:] = 0
-    features, _ = inputs(size=(3, 4))
-    order = torch.randperm(12, generator=torch.Generator().manual_seed(1))
-    mixed = features.flatten(2)[:, :, order].unflatten(2, (3, 4))
-    with torch.no_grad():
-        plain, found = (attention(f, torch.full((2, 3, 12, 16), 0.5)).flatten(2) for f in (features, mixed))
-    assert not torch.allclose(found, plain, rtol=1e-2, atol=0)
-    assert torch.allclose(found, plain[:, :, order], rtol=1e-3, atol=1e-5 * plain.abs().max().item())
-
-
-@pytest.mark.parametrize("normalise", ["none", "mean"])
-def test_each_pair_weighs_the_same_both_ways(normalise):
-    for similarity in SIMILARITIES:
-        w = attention_of(similarity, normalise).weights(embedded())
-        assert torch.allclose(w, w.mT)
-        assert not torch.allclose(w, w[:, :1])
-
-
-@pytest.mark.parametrize("similarity", SIMILARITIES)
-def test_softmax_weights_of_a_position_sum_to_one(similarity):
-    w = attention_of(similarity, "softmax").weights(embedded())
-    assert torch.allclose(w.sum(1), torch.ones(1, 6, dtype=torch.float64))
-    assert not torch.allclose(w.sum(2), torch.ones(1, 6, dtype=torch.float64), atol=1e-3)
-
-
-@pytest.mark.parametrize("similarity", ["cosine", "l1", "l2"])
-def test_a_position_is_most_similar_to_itself(similarity):
-    w = attention_of(similarity).weights(embedded())
-    assert torch.allclose(w.diagonal(dim1=1, dim2=2), torch.ones(1, 6, dtype=torch.float64), atol=2e-4)
-    assert (w - torch.eye(6)).max() < 0.99
-
-
-def test_positions_do_not_look_at_other_items():
-    attention = attention_of()
-    features, image = inputs()
-    with torch.no_grad():
-        assert torch.allclose(attention(features, image)[:1], attention(features[:1], image[:1]), rtol=1e-5)
-
-
-def test_coordinates_go_from_minus_one_to_one_x_along_the_width():
-    found = coordinates(torch.zeros(2, 9, 3, 5))
-    x, y = torch.tensor([-1, -0.5, 0, 0.5, 1]), torch.tensor([-1.0, 0, 1])
-    assert torch.equal(found, torch.stack([x.expand(3, 5), y[:, None].expand(3, 5)]).expand(2, 2, 3, 5))
-
-
-def test_features_mean_colours_and_coordinates_are_embedded():
-    attention, seen = attention_of(), []
-    attention.embed.register_forward_pre_hook(lambda _module, given: seen.append(given[0]))
-    features, image = inputs()
-    attention(features, image)
-    assert torch.equal(seen[0][:, :CHANNELS], features)
-    assert torch.allclose(seen[0][:, CHANNELS:-2], image.reshape(2, 3, 2, 4, 3, 8).mean((3, 5)))
-    assert torch.equal(seen[0][:, -2:], coordinates(features))
-
-
 @pytest.mark.parametrize("similarity", SIMILARITIES)
 def test_without_mixing_it_is_the_embedding_of_the_same_size(similarity):
     attention, mixed = attention_of(similarity, mixing=False), attention_of(similarity)
@@ -160,11 +100,6 @@ def test_it_computes_in_float32_under_bfloat16(mixing):
     assert torch.equal(found, expected)
 
 
-def test_it_runs_on_the_meta_device_where_operations_are_counted():
-    features, image = (given.to("meta") for given in inputs())
-    assert attention_of().to("meta")(features, image).shape == (2, WIDTH, *SIZE)
-
-
 @pytest.mark.parametrize(("similarity", "normalise"), SETTINGS)
 def test_large_features_give_finite_results_and_gradients(similarity, normalise):
     attention = attention_of(similarity, normalise)
@@ -187,27 +122,6 @@ def test_equal_positions_have_finite_gradients(similarity, normalise, value):
 def test_its_gradients_are_those_of_finite_differences(similarity, normalise):
     attention = attention_of(similarity, normalise)
     assert gradcheck(lambda f: f @ attention.weights(f), embedded(positions=4, width=3).requires_grad_())
-
-
-@pytest.mark.parametrize("order", [1, 2])
-def test_distances_have_the_gradients_of_finite_differences_off_the_diagonal(order):
-    apart = ~torch.eye(4, dtype=torch.bool)
-    assert gradcheck(lambda f: distances(f, order)[:, apart], embedded(positions=4, width=3).requires_grad_())
-
-
-def test_distances_are_scipys():
-    from scipy.spatial.distance import cdist
-
-    f = embedded()
-    for order, metric in ((1, "cityblock"), (2, "euclidean")):
-        np.testing.assert_allclose(distances(f, order)[0], cdist(f[0].T, f[0].T, metric), atol=2e-4)
-
-
-@pytest.mark.parametrize(("similarity", "normalise"), [("gaussian", "none"), ("dot", "sum"), ("l2", None)])
-def test_an_unknown_setting_is_refused_with_the_known_ones(similarity, normalise):
-    known = ", ".join(SIMILARITIES if similarity == "gaussian" else NORMALISES)
-    with pytest.raises(ValueError, match=f"unknown: choose one of {known}"):
-        SelfAssembledAttention(CHANNELS, similarity, normalise)
 
 
 @pytest.mark.parametrize("mixing", [True, False])

@@ -11,7 +11,7 @@ from torch.nn import functional as F
 from dualdepth.evaluation.cost import count
 from dualdepth.networks import Link
 from dualdepth.networks.attention import STARTING_RMS, SelfAssembledAttention
-from dualdepth.networks.depth_nets import HR_WIDTHS, RESIDUAL_FLOOR, DualNet, HREncoder, HRNet, LRNet
+from dualdepth.networks.depth_nets import RESIDUAL_FLOOR, DualNet, HREncoder, HRNet, LRNet
 
 SMALL, SIZE = (64, 96), (192, 288)
 GLOBAL = 16
@@ -45,20 +45,10 @@ def without_gradient(net, output):
     return [name for name, p in net.named_parameters() if p.grad is None or not p.grad.any()]
 
 
-def check_scales(net, size, *given):
-    """Disparities come at four scales, with 16 features of full size; fewer are the same to the bit."""
-    with torch.inference_mode():
-        output, *fewer = (net(image(0, 2, size), scales, *given) for scales in (4, 1, 2, 3))
-    assert [tuple(d.shape) for d in output.disparities] == [(2, 1, size[0] >> s, size[1] >> s) for s in range(4)]
-    assert output.features.shape == (2, 16, *size)
-    assert [len(f.disparities) for f in fewer] == [1, 2, 3]
-    assert all(torch.equal(a, b) for found in fewer for a, b in zip(found.disparities, output.disparities))
-    assert all(torch.equal(found.features, output.features) for found in fewer)
-
-
 # LR-Net
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("encoder", "size", "params_m", "gmacs"),
     [
@@ -72,6 +62,7 @@ def test_parameters_and_macs_of_lr_net_are_those_fitted_to_the_papers_overhead_t
     assert (million(cost.params), million(cost.macs / 1e3)) == (params_m, gmacs)
 
 
+@pytest.mark.slow
 def test_gradients_reach_every_parameter_of_lr_net():
     net = LRNet("resnet18")
     assert without_gradient(net, net(image(items=2, size=(64, 64)))) == []
@@ -87,6 +78,7 @@ def rms_of_levels(net, *given):
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("encoder", "pretrained"),
     [("resnet18", False), ("resnet50", False), ("mobilenet_v2", False), ("efficientnet_lite0", False), ("efficientnet_lite0", True)],
@@ -125,18 +117,6 @@ def features(seed=0):
     return torch.randn(2, GLOBAL, SMALL[0] // 32, SMALL[1] // 32, generator=torch.Generator().manual_seed(seed))
 
 
-def test_hr_nets_maps_have_strides_2_to_32_and_the_declared_widths():
-    with torch.inference_mode():
-        maps = HREncoder().eval()(small())
-    assert HR_WIDTHS == (32, 64, 128, 128, 128)
-    assert [tuple(m.shape) for m in maps] == [(2, c, SMALL[0] // s, SMALL[1] // s) for c, s in zip(HR_WIDTHS, (2, 4, 8, 16, 32))]
-
-
-def test_each_stage_of_hr_net_has_a_strided_and_a_plain_convolution_with_batch_norm():
-    by_hand = sum(9 * i * o + 9 * o * o + 2 * 2 * o for i, o in zip((3, *HR_WIDTHS), HR_WIDTHS))
-    assert sum(p.numel() for p in HREncoder().parameters()) == by_hand
-
-
 def test_images_go_into_hr_net_between_minus_one_and_one():
     encoder = HREncoder().eval()
     seen = given_to(encoder.stages[0])
@@ -156,10 +136,6 @@ def test_a_flat_image_has_flat_disparities_up_to_the_border(hr_net):
         assert torch.allclose(found, found[..., :1, :1].expand_as(found), rtol=1e-3, atol=1e-4 * found.abs().max().item())
 
 
-def test_hr_nets_disparities_come_at_four_scales_and_fewer_are_the_same_to_the_bit(hr_net):
-    check_scales(hr_net, SMALL, features())
-
-
 def test_global_features_join_the_deepest_map_and_change_every_scale(hr_net):
     seen = given_to(hr_net.decoder.neck)
     with torch.inference_mode():
@@ -171,8 +147,6 @@ def test_global_features_join_the_deepest_map_and_change_every_scale(hr_net):
 
 def test_by_itself_hr_net_has_no_room_for_global_features():
     by_itself = HRNet().eval()
-    assert by_itself.decoder.neck[0].in_channels == 128
-    assert HRNet(GLOBAL).decoder.neck[0].in_channels == 128 + GLOBAL
     with torch.inference_mode():
         assert by_itself(small()).disparities[0].shape == (2, 1, *SMALL)
         with pytest.raises(RuntimeError):
@@ -200,6 +174,7 @@ def dual_of(encoder):
     return make
 
 
+@pytest.mark.slow
 def test_parameters_and_macs_of_both_are_those_fitted_to_the_papers_overhead_table():
     with torch.device("meta"):  # shapes without values
         dual, given = DualNet(LRNet("resnet50")), torch.zeros(1, 3, 384, 1248)
@@ -209,26 +184,19 @@ def test_parameters_and_macs_of_both_are_those_fitted_to_the_papers_overhead_tab
     assert (million(alone.params - decoder), million(alone.macs / 1e3)) == (27.916, 23.953)
 
 
-def test_without_sa_the_neck_takes_all_of_resnet50s_channels_beside_hr_nets():
-    with torch.device("meta"):
-        direct, given = DualNet(LRNet("resnet50"), "direct"), torch.zeros(1, 3, 384, 1248)
-    seen = given_to(direct.hr_net.decoder.neck)
-    direct(given)
-    assert direct.attention is None
-    assert seen[0][0].shape == (1, 2048 + 128, 12, 39)
-
-
-def test_the_embedding_alone_is_as_large_and_saves_the_two_products(dual_of):
-    mixed, alone = (count(dual_of(link), torch.zeros(1, 3, *SIZE, device="meta")) for link in ("attention", "embedding"))
-    assert mixed.params == alone.params
-    assert mixed.macs - alone.macs == 2 * 6 * 6 * 128
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize("link", LINKS)
 def test_the_dual_networks_disparities_come_at_four_scales_and_fewer_are_the_same_to_the_bit(dual_of, link):
-    check_scales(dual_of(link), SIZE)
+    with torch.inference_mode():
+        output, *fewer = (dual_of(link)(image(items=2), scales) for scales in (4, 1, 2, 3))
+    assert [tuple(d.shape) for d in output.disparities] == [(2, 1, SIZE[0] >> s, SIZE[1] >> s) for s in range(4)]
+    assert output.features.shape == (2, 16, *SIZE)
+    assert [len(f.disparities) for f in fewer] == [1, 2, 3]
+    assert all(torch.equal(a, b) for found in fewer for a, b in zip(found.disparities, output.disparities))
+    assert all(torch.equal(found.features, output.features) for found in fewer)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("link", LINKS)
 def test_training_leaves_lr_net_as_it_was_to_the_bit_and_moves_the_rest(dual_of, link):
     net = dual_of(link).train()
@@ -244,15 +212,6 @@ def test_training_leaves_lr_net_as_it_was_to_the_bit_and_moves_the_rest(dual_of,
     frozen = {f"lr_net.{name}" for name in net.lr_net.state_dict()}
     assert {"running_mean", "running_var", "num_batches_tracked"} <= {name.split(".")[-1] for name in frozen}
     assert same == frozen
-
-
-def test_lr_net_stays_in_eval_mode(encoder):
-    lr_net = LRNet(encoder).train()
-    whole = nn.Sequential(DualNet(lr_net))
-    for mode in (True, False, True):
-        modes = [{m.training for m in part.modules()} for part in (lr_net, whole.train(mode)[0].hr_net, whole[0].attention)]
-        assert modes == [{False}, {mode}, {mode}]
-    assert not any(m.training for m in DualNet(LRNet(encoder)).lr_net.modules())  # before anyone calls train()
 
 
 @pytest.mark.parametrize("link", LINKS)
@@ -299,6 +258,7 @@ def test_lr_nets_decoder_changes_nothing_and_gives_its_depth_beside(dual_of):
     assert all(torch.allclose(a, b, atol=1e-5) for a, b in zip(low.disparities, expected.disparities))
 
 
+@pytest.mark.slow
 def test_under_bfloat16_features_stay_narrow_and_disparities_are_float32_and_finite(dual_of):
     net = dual_of().train()
     seen = given_to(net.hr_net.decoder.neck)
@@ -326,18 +286,11 @@ def test_a_residual_begins_with_lr_nets_depth_enlarged_above_the_floor(encoder):
         assert torch.equal(found, F.interpolate(floored, size, mode="bilinear", align_corners=False))
     assert torch.equal(fewer.logits[0], high.logits[0])
     with_heads(net.hr_net)
+    seen = given_to(net.hr_net)
     with torch.inference_mode():
         moved = net(image())
-        alone = net.hr_net(image(), 4, given_handed(net))
+        alone = net.hr_net(*seen[0])
     assert torch.allclose(moved.logits[0], high.logits[0] + alone.logits[0], atol=1e-5)
-
-
-def given_handed(net):
-    """What HR-Net was handed for the first image."""
-    low = averaged(image())
-    with torch.inference_mode():
-        handed = net.attention(net.lr_net.encoder(low)[-1], low)
-    return F.interpolate(handed, scale_factor=3, mode="bilinear", align_corners=False)
 
 
 @pytest.mark.parametrize("link", ["attention", "embedding"])

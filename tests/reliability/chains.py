@@ -6,7 +6,6 @@ A chain is a process group of its own. A kill is SIGKILL to all that it started,
 which leaves the kernels of its notebooks behind.
 """
 
-import argparse
 import contextlib
 import json
 import os
@@ -15,7 +14,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -30,7 +28,7 @@ from dualdepth.files import locked
 from dualdepth.run import project_root
 from dualdepth.training.checkpoints import load_checkpoint
 from dualdepth.training.weights import finished_card
-from tests.reliability.counting import write_count
+from tests.reliability.counting import count_kills
 from tests.small_encoder import save_encoder
 
 PROFILE = {
@@ -242,25 +240,14 @@ def broken(root: Path) -> list[str]:
     return found
 
 
-def main() -> int:
-    """Kill as often as asked and count."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--kills", type=int, default=20)
-    parser.add_argument("--each", type=int, default=10, help="kills of one chain, at most")
-    parser.add_argument("--seed", type=int, default=0, help="of the moments")
-    arguments = parser.parse_args()
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as root:
-        tallies = try_kills(make_chain(Path(root)), arguments.kills, arguments.each, arguments.seed)
-    kills, orphaning = sum(t.kills for t in tallies), sum(t.orphaning for t in tallies)
-    held = sum(t.kills for t in tallies if t.identical)
-    note = f"{len(tallies)} chains of all notebooks, {orphaning} kills left kernels behind; tables, prepared files, weights to the byte"
-    write_count("chain killed by SIGKILL and started again", kills, held, note)
-    print(f"{held} of {kills} kills harmless: {note}")
-    for tally in tallies:
-        if tally.said:
-            print(tally.said)
-    return 0 if held == kills else 1
+def counted(root: Path, kills: int, each: int) -> tuple[list[int], int, str]:
+    """As `count_kills` takes it."""
+    tallies = try_kills(make_chain(root), kills, each)
+    print(*[tally.said for tally in tallies if tally.said], sep="\n")
+    orphaning, held = sum(t.orphaning for t in tallies), sum(t.kills for t in tallies if t.identical)
+    note = f"chains of all notebooks, {orphaning} kills left kernels behind; tables, prepared files, weights to the byte"
+    return [t.kills for t in tallies], held, note
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(count_kills("chain killed by SIGKILL and started again", 20, 10, counted))

@@ -7,16 +7,13 @@ written. Trials are forked from a server that has imported everything, so a star
 the child of a process that has.
 """
 
-import argparse
 import contextlib
-import json
 import multiprocessing
 import os
 import random
 import shutil
 import signal
 import sys
-import tempfile
 import time
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -26,16 +23,15 @@ import pandas as pd
 import psutil
 import torch
 
-from data_scripts.prepare_data import write_identity
-from dualdepth.data.triplets import drive_triplets, write_targets
 from dualdepth.device import keep_freed_memory
-from dualdepth.run import Run, Sources
+from dualdepth.run import Run
 from dualdepth.training.checkpoints import checkpoint_paths
 from dualdepth.training.log import read_log
 from dualdepth.training.variants import train_variant
-from tests.reliability.counting import write_count
+from tests.reliability.counting import count_kills
+from tests.small_checkout import checkout_of, prepare
 from tests.small_encoder import save_encoder
-from tests.small_kitti import DRIVE, write_calibration, write_drive
+from tests.small_kitti import write_calibration, write_drive
 
 FRAMES = 10
 IMPORTED = [
@@ -55,29 +51,16 @@ class Tally(NamedTuple):
     """Weights to the bit, and the log but for its speed."""
 
 
-def make_checkout(root: Path, **training: object) -> Path:
-    """A folder that looks like a checkout, with prepared frames and a profile of two small trainings; returns the profile."""
+def make_checkout(root: Path, **training: object) -> Run:
+    """A folder that looks like a checkout, with prepared frames and a profile of two small trainings."""
+    stage = {"batch_size": 2, "epochs": 2}
     # loader workers, two half-batches a step, a checkpoint after each step
-    usual = {"encoder": save_encoder(root / "encoder"), "pretrained": False, "workers": 1, "precision": "float32", "accumulate": 2}
-    stages = {"lr": {"batch_size": 2, "epochs": 2}, "hr": {"batch_size": 2, "epochs": 2}}
-    values = {
-        "about": "killed and started again",
-        "data": {"source": "kitti", "train_drives": [DRIVE], "hr_size": (192, 192)},
-        "training": {**usual, **stages, "checkpoint_every": 1, "log_every": 1, **training},
-        "train": {"lr": None, "dual": None},
-    }
-    (root / "notebooks").mkdir()
-    (root / "Snakefile").touch()
-    profile = root / "own.yaml"
-    profile.write_text(json.dumps(values))  # JSON is YAML
+    usual = {"workers": 1, "accumulate": 2, "checkpoint_every": 1, "lr": stage, "hr": stage}
+    run = checkout_of(root, save_encoder(root / "encoder"), usual | training, train={"lr": None, "dual": None})
     write_calibration(root / "kitti")
     write_drive(root / "kitti", range(FRAMES))
-    run = Run(str(profile), root)
-    Sources(kitti_root=root / "kitti", test_list=root / "none.txt").save(run)
-    targets = drive_triplets(root / "kitti", [DRIVE])
-    write_targets(run.index("lr"), root / "kitti", targets)
-    write_identity(run, Sources.load(run), targets)
-    return profile
+    prepare(run)
+    return run
 
 
 def start(run: Run, variant: str, seed: int, **environment: str) -> BaseProcess:
@@ -175,7 +158,7 @@ def try_kills(root: Path, kills: int, each: int, seed: int = 0, **training: obje
     Stage 2 starts from the stage 1 that was never killed; `training` are changes of both, as `make_checkout` takes them.
     """
     keep_freed_memory()
-    run, rng = Run(str(make_checkout(root, **training)), root), random.Random(seed)
+    run, rng = make_checkout(root, **training), random.Random(seed)
     expected, seconds, tallies = {}, {}, []
     for variant in ("lr", "dual"):
         began = time.monotonic()
@@ -199,23 +182,13 @@ def try_kills(root: Path, kills: int, each: int, seed: int = 0, **training: obje
     return tallies
 
 
-def main() -> int:
-    """Kill as often as asked and count."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--kills", type=int, default=50)
-    parser.add_argument("--each", type=int, default=4, help="kills of one training, at most")
-    arguments = parser.parse_args()
-    with tempfile.TemporaryDirectory() as root:
-        tallies = try_kills(Path(root), arguments.kills, arguments.each)
-    kills, torn = sum(t.kills for t in tallies), sum(t.while_writing for t in tallies)
-    held = sum(t.kills for t in tallies if t.identical)
-    note = (
-        f"{len(tallies)} trainings of both stages, {torn} kills in the middle of writing a file; weights to the bit, log but for its speed"
-    )
-    write_count("training killed by SIGKILL and started again", kills, held, note)
-    print(f"{held} of {kills} kills harmless: {note}")
-    return 0 if held == kills else 1
+def counted(root: Path, kills: int, each: int) -> tuple[list[int], int, str]:
+    """As `count_kills` takes it."""
+    tallies = try_kills(root, kills, each)
+    torn, held = sum(t.while_writing for t in tallies), sum(t.kills for t in tallies if t.identical)
+    note = f"trainings of both stages, {torn} kills in the middle of writing a file; weights to the bit, log but for its speed"
+    return [t.kills for t in tallies], held, note
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(count_kills("training killed by SIGKILL and started again", 50, 4, counted))

@@ -14,7 +14,6 @@ import subprocess
 import sys
 import tempfile
 import time
-import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -38,25 +37,23 @@ class Part(NamedTuple):
     """What Python runs."""
     examples: str = ""
     """DUALDEPTH_EXAMPLES, how much is fuzzed."""
-    counted: bool = False
-    """Whether its tests count their cases themselves; their sum is one row."""
 
 
-def by_pytest(*words: str) -> list[str]:
-    """A call of pytest."""
-    return ["-m", "pytest", *words, "-p", "no:cacheprovider", "--timeout", "0"]
+def by_pytest(*words: str, marked: str = "not soak") -> list[str]:
+    """A call of pytest on files, for the tests that are so marked."""
+    return ["-m", "pytest", *words, "-m", marked, "-n", "0", "-p", "no:cacheprovider", "--timeout", "0"]
 
 
 PARTS = {
     "kills": Part("trainings killed", ["-m", "tests.reliability.kills", "--kills", "50"]),
     "chains": Part("chains killed", ["-m", "tests.reliability.chains", "--kills", "20"]),
     "parity": Part("two processes against one", ["-m", "tests.reliability.ddp"]),
-    "ranks": Part("tests of several processes that stop, die, share and resume", by_pytest(f"{TESTS}/test_ddp.py", "-m", "slow")),
-    "stops": Part("SIGTERM: checkpoint and one line", by_pytest(f"{TESTS}/test_stopping.py", "-m", "slow or soak"), counted=True),
-    "disk": Part("full disks, closed folders, removed files", by_pytest(f"{TESTS}/test_disk.py"), counted=True),
-    "degenerate": Part("degenerate frames and networks, finite gradients", by_pytest(f"{TESTS}/test_degenerate.py"), counted=True),
-    "inputs": Part("bad inputs named in one line", by_pytest(f"{TESTS}/test_bad_inputs.py", f"{TESTS}/test_permissions.py"), counted=True),
-    "fuzz": Part("damaged files that crash no reader", by_pytest(TESTS, "-m", "fuzz"), examples="1000", counted=True),
+    "ranks": Part("tests of several processes that stop, die, share and resume", by_pytest(f"{TESTS}/test_ddp.py")),
+    "stops": Part("SIGTERM: checkpoint and one line", by_pytest(f"{TESTS}/test_stopping.py", marked="slow or soak")),
+    "disk": Part("full disks, closed folders, removed files", by_pytest(f"{TESTS}/test_disk.py")),
+    "degenerate": Part("degenerate frames and networks, finite gradients", by_pytest(f"{TESTS}/test_degenerate.py")),
+    "inputs": Part("bad inputs named in one line", by_pytest(f"{TESTS}/test_bad_inputs.py", f"{TESTS}/test_permissions.py")),
+    "fuzz": Part("damaged files that crash no reader", by_pytest(TESTS, marked="fuzz"), examples="1000"),
 }
 
 
@@ -67,30 +64,18 @@ def run_part(name: str, part: Part) -> list[Row]:
         Rows with `test`, `tried`, `held`, `note`; what went wrong is one that did not hold.
     """
     with tempfile.TemporaryDirectory() as folder:
-        counts, report = Path(folder) / "counts.jsonl", Path(folder) / "report.xml"
-        words = [*part.words, *([f"--junitxml={report}"] if "pytest" in part.words else [])]
+        counts = Path(folder) / "counts.jsonl"
         environment = os.environ | {"OMP_NUM_THREADS": "1", "DUALDEPTH_RELIABILITY": str(counts)}
         environment |= {"DUALDEPTH_EXAMPLES": part.examples} if part.examples else {}
-        code = subprocess.run([sys.executable, *words], cwd=project_root(), env=environment, check=False).returncode
+        code = subprocess.run([sys.executable, *part.words], cwd=project_root(), env=environment, check=False).returncode
         rows = [json.loads(line) for line in counts.read_text(encoding="utf-8").splitlines()] if counts.exists() else []
-        if report.exists():
-            rows = [_of_tests(part, rows, report)]
+        if "pytest" in part.words:
+            tried, held = (sum(row[key] for row in rows) for key in ("tried", "held"))
+            rows = [{"test": part.about, "tried": tried, "held": held, "note": f"{len(rows)} tests; {tried - held} cases went wrong"}]
     failed = code != 0 and all(row["held"] == row["tried"] for row in rows)
     if failed or not sum(row["tried"] for row in rows):
         rows.append({"test": part.about, "tried": 1, "held": 0, "note": f"part {name} ended with {code} and counted too little"})
     return rows
-
-
-def _of_tests(part: Part, rows: list[Row], report: Path) -> Row:
-    """The sum of what the tests counted, or the number of tests."""
-    suite = ElementTree.parse(report).getroot().find("testsuite")
-    total, skipped = (int(suite.get(name, 0)) for name in ("tests", "skipped"))
-    bad = int(suite.get("failures", 0)) + int(suite.get("errors", 0))
-    note = f"{total - skipped} tests, {bad} failed" + (f", {skipped} skipped" if skipped else "")
-    if part.counted:
-        tried, held = (sum(row[key] for row in rows) for key in ("tried", "held"))
-        return {"test": part.about, "tried": tried, "held": held, "note": f"{note}; {tried - held} cases went wrong"}
-    return {"test": part.about, "tried": total - skipped, "held": total - skipped - bad, "note": note}
 
 
 def save(name: str, rows: list[Row], stamp: dict[str, Any]) -> None:

@@ -2,7 +2,7 @@
 
 import os
 
-from hypothesis import HealthCheck, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from dualdepth.errors import InputError
@@ -25,12 +25,25 @@ WORDS = [
 """What text parsers stumble over."""
 
 
-def read_or_refuse(read, *given):
-    """Read; nothing but a refusal in words may be raised."""
+def fuzz(counted, read, *strategies):
+    """Read many examples; nothing but a refusal in words may be raised."""
+
+    @FUZZ
+    @given(st.tuples(*strategies))
+    def try_one(values):
+        with counted():
+            read_or_refuse(read, *values)
+
+    try_one()
+
+
+def read_or_refuse(read, *values):
+    """Read; gives None for a refusal in words."""
     try:
-        read(*given)
+        return read(*values)
     except InputError as error:
         assert str(error)
+        return None
 
 
 @st.composite

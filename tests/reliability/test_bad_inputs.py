@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 from bad_inputs import CASES, Case
-from small_training import quiet_torch  # noqa: F401
 from worlds import SERVED, WORLDS
 
 from data_scripts import download_make3d
@@ -14,7 +13,8 @@ from dualdepth.cli import main
 from dualdepth.errors import InputError
 from dualdepth.run import parse_seeds
 
-REPOSITORY = Path(__file__).parents[2]
+pytestmark = pytest.mark.slow
+EXPORT = str(Path(__file__).parents[2] / "data_scripts/export_depth.py")
 LOGS = ("log.csv", "events.out.tfevents", "panels", "seed0/lock")
 """What a training writes before it reads its first frame."""
 
@@ -90,7 +90,7 @@ def test_folders_with_spaces_and_other_letters_work(world, tmp_path, monkeypatch
         (
             "scans",
             "list.txt",
-            [str(REPOSITORY / "data_scripts/export_depth.py"), "--kitti", "kitti", "--list", "list.txt", "--out", "out.npz"],
+            [EXPORT, "--kitti", "kitti", "--list", "list.txt", "--out", "out.npz"],
         ),
         ("PNG frames", "own.yaml", ["-m", "dualdepth.cli", "train", "--profile", "own.yaml"]),
     ],

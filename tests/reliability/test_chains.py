@@ -1,4 +1,4 @@
-"""The chain is killed or doubled; the next run ends as if nothing had been. The soak does this with the real notebooks."""
+"""The chain or a training is killed, or begun twice; the next run ends as if nothing had been. The soak does this for longer."""
 
 import os
 import signal
@@ -8,8 +8,11 @@ import time
 import psutil
 import pytest
 
+from tests.reliability import kills
 from tests.reliability.chains import Chain, is_held, try_kills
 from tests.small_chain import SmallChain
+
+pytestmark = pytest.mark.slow
 
 LAST = "the last line\n"
 SLOWLY = f"""
@@ -55,7 +58,6 @@ def begun(chain):
     return running
 
 
-@pytest.mark.slow
 def test_a_chain_killed_at_random_ends_with_the_same_files(chain, counted):
     with counted():
         tallies = try_kills(chain, kills=2, each=2)
@@ -64,7 +66,6 @@ def test_a_chain_killed_at_random_ends_with_the_same_files(chain, counted):
     assert not [*chain.root.glob("results/**/*.part*"), *chain.root.glob("work/*/prepared/*.part*")]
 
 
-@pytest.mark.slow
 def test_a_live_run_stops_a_second_one_and_says_whose_it_is_until_it_is_killed(chain, counted):
     running = begun(chain)
     assert "snakemake" in psutil.Process(running.pid).cmdline()  # which the command has become
@@ -77,3 +78,11 @@ def test_a_live_run_stops_a_second_one_and_says_whose_it_is_until_it_is_killed(c
         os.killpg(running.pid, signal.SIGKILL)
         running.wait()
         assert not is_held(chain.work / "lock")
+
+
+def test_killed_trainings_of_both_stages_end_with_the_same_weights(tmp_path):
+    six = {"batch_size": 2, "epochs": 2, "max_steps": 6}
+    tallies = kills.try_kills(tmp_path, kills=3, each=2, seed=6, lr=six, hr=six)  # draws both kinds of moments
+    assert all(tally.identical for tally in tallies)
+    assert len(tallies) >= 2  # both stages
+    assert sum(tally.while_writing for tally in tallies) > 0

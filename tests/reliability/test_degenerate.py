@@ -2,12 +2,13 @@
 
 import pytest
 import torch
-from small_stages import batch_of, dual_of, stage_of  # noqa: F401
+from small_stages import batch_of, stage_of
 
 from dualdepth.networks.depth_nets import LRNet
 from dualdepth.networks.pose_net import POSE_SCALE, PoseNet
 
-# ruff: noqa: F811
+pytestmark = pytest.mark.slow
+
 SIZE = (192, 192)
 
 
@@ -18,7 +19,7 @@ def stages(dual_of, encoder):
     def make(name):
         torch.manual_seed(0)
         depth_net = dual_of() if name == "hr" else LRNet(encoder)
-        return stage_of(depth_net, PoseNet(), low=name == "lr").train()
+        return stage_of(depth_net, PoseNet(), low=name != "hr", beyond_paper_automask="automask" in name).train()
 
     return make
 
@@ -77,7 +78,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", ["lr", "hr"])
+@pytest.mark.parametrize("name", ["lr", "lr with automask", "hr"])
 @pytest.mark.parametrize("case", CASES)
 def test_losses_and_gradients_of_a_whole_stage_stay_finite(stages, case, name, counted):
     stage, batch = stages(name), batch_of(1, SIZE)

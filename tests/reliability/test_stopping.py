@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from dualdepth.run import Run, project_root
+from dualdepth.run import project_root
 from dualdepth.training.checkpoints import checkpoint_paths, last_checkpoint
 from tests.reliability.kills import make_checkout
 
@@ -17,9 +17,7 @@ from tests.reliability.kills import make_checkout
 @pytest.fixture(scope="module")
 def checkout(tmp_path_factory):
     """A checkout with prepared frames and a profile of long trainings."""
-    root = tmp_path_factory.mktemp("checkout")
-    make_checkout(root, lr={"batch_size": 2, "epochs": 200})
-    return Run(str(root / "own.yaml"), root)
+    return make_checkout(tmp_path_factory.mktemp("checkout"), lr={"batch_size": 2, "epochs": 200})
 
 
 def started(run, *command):

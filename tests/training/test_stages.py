@@ -3,15 +3,13 @@
 import pytest
 import torch
 from small_nets import output_of, with_heads
-from small_stages import batch_of, dual_of, stage_of  # noqa: F401
+from small_stages import batch_of, stage_of
 from torch import nn
 
 from dualdepth.geometry import pose_matrix
 from dualdepth.losses import total_loss
 from dualdepth.networks.pose_net import PoseNet
 from dualdepth.training import stages
-
-# ruff: noqa: F811
 
 
 class SeenDepth(nn.Module):
@@ -74,15 +72,19 @@ def test_without_the_feature_loss_lr_net_sees_targets_alone(batch):
     assert output.losses.feature == 0
 
 
-def test_at_high_resolution_only_the_target_goes_through_the_depth_network_and_posenet_sees_averages(batch):
+def test_at_high_resolution_the_target_alone_goes_through_the_depth_network_and_posenet_sees_averages(batch, asked):
     stage = seen_stage(low=False)
     output = stage(batch)
-    expected = batch["images"][:, 0].float() / 255
+    images, matrix, disparities, poses, *_ = asked[0]
+    assert torch.allclose(images, batch["images"].float() / 255)
+    assert torch.equal(matrix, batch["intrinsics"])
     assert stage.depth_net.calls == 1
-    assert torch.allclose(stage.depth_net.image, expected)
+    assert torch.allclose(stage.depth_net.image, images[:, 0]) and torch.allclose(output.target, images[:, 0])
     assert torch.allclose(stage.pose_net.images, averaged(batch), atol=1e-6)
-    assert torch.allclose(output.target, expected)
-    assert torch.allclose(output.disparity, expected.mean(1, keepdim=True) + 0.5, atol=1e-6)
+    assert torch.allclose(output.disparity, images[:, 0].mean(1, keepdim=True) + 0.5, atol=1e-6)
+    assert [tuple(d.shape[-2:]) for d in disparities] == [(96 >> s, 192 >> s) for s in range(4)]
+    assert poses.shape == (2, 2, 6)
+    assert output.losses.synthesized.shape == (2, 3, 96, 192)
 
 
 def test_frames_that_were_shrunk_first_are_not_shrunk_again_and_have_the_same_geometry(batch, asked):
@@ -94,16 +96,6 @@ def test_frames_that_were_shrunk_first_are_not_shrunk_again_and_have_the_same_ge
     assert torch.equal(asked[1][1], batch["intrinsics"])
     assert torch.allclose(output.target, batch["images"][:, 0].float() / 255)
     assert torch.allclose(stage.pose_net.images, batch["images"].float() / 255)
-
-
-def test_losses_of_stage_2_are_those_of_full_resolution_with_the_batchs_own_intrinsics(batch, asked):
-    output = seen_stage(low=False)(batch)
-    images, matrix, disparities, poses, *_ = asked[0]
-    assert torch.allclose(images, batch["images"].float() / 255)
-    assert torch.equal(matrix, batch["intrinsics"])
-    assert [tuple(d.shape[-2:]) for d in disparities] == [(96 >> s, 192 >> s) for s in range(4)]
-    assert poses.shape == (2, 2, 6)
-    assert output.losses.synthesized.shape == (2, 3, 96, 192)
 
 
 def test_at_high_resolution_there_is_no_feature_loss_whatever_its_weight(batch, asked):
@@ -120,14 +112,6 @@ def test_the_profiles_loss_is_taken(batch, changes, low):
     stage = seen_stage(low, **changes)
     assert stage(batch).losses.photometric != seen_stage(low)(batch).losses.photometric
     assert stage.depth_net.scales == changes.get("scales", 4)
-
-
-@pytest.mark.parametrize("low", [True, False])
-@pytest.mark.parametrize("channels_last", [True, False])
-def test_the_memory_layout_is_the_profiles(batch, channels_last, low):
-    stage = seen_stage(low, channels_last=channels_last)
-    stage(batch)
-    assert stage.depth_net.image.is_contiguous(memory_format=torch.channels_last) == channels_last
 
 
 def test_in_a_corridor_posenet_learns_alone(batch, asked):
@@ -200,6 +184,7 @@ def test_the_log_has_the_scale_of_what_sa_attention_hands_over(dual_of, link):
         assert torch.allclose(statistics["attention_scale"], handed[0].square().mean().sqrt())
 
 
+@pytest.mark.slow
 def test_a_step_moves_hr_net_sa_attention_and_posenet_but_not_lr_net(dual_of):
     stage = seen_stage(False, dual_of("attention")).train()
     before = {name: value.clone() for name, value in stage.state_dict().items()}
