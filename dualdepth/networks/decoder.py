@@ -62,7 +62,6 @@ class Decoder(nn.Module):
         self.up = nn.ModuleList(conv3x3(i, o) for i, o in zip(inputs, WIDTHS))
         laterals = [*reversed(lateral_channels), None]  # the full resolution has no encoder map
         self.lateral = nn.ModuleList(nn.Conv2d(c, w, 1) if c else nn.Identity() for c, w in zip(laterals, WIDTHS))
-        self.has_lateral = [c is not None for c in laterals]
         self.merge = nn.ModuleList(nn.Sequential(conv3x3(w, w), nn.ELU(), conv3x3(w, w), nn.ELU()) for w in WIDTHS)
         self.heads = nn.ModuleList(conv3x3(w, 1) for w in WIDTHS[1:])
         for layer in self.modules():
@@ -80,7 +79,7 @@ class Decoder(nn.Module):
         logits: list[Tensor] = []
         for level, skip in enumerate([*reversed(finer), None]):
             x = F.interpolate(F.elu(self.up[level](x)), scale_factor=2, mode="nearest")
-            if self.has_lateral[level]:
+            if skip is not None:
                 x = x + self.lateral[level](skip)
             x = self.merge[level](x)
             if level > 0 and len(WIDTHS) - level <= scales:
