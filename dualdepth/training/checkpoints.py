@@ -13,12 +13,7 @@ from dualdepth.device import Precision
 from dualdepth.errors import InputError
 from dualdepth.files import atomic_path
 
-KEYS = {"recipe", "parts", "step", "model", "optimizer"}
-
-
-def checkpoint_path(folder: str | Path, step: int) -> Path:
-    """File of a checkpoint."""
-    return Path(folder) / f"checkpoint_{step:08d}.pt"
+KEYS = {"recipe", "parts", "precision", "step", "model", "optimizer"}
 
 
 def checkpoint_paths(folder: str | Path) -> list[Path]:
@@ -40,19 +35,17 @@ def save_checkpoint(
     """Write what a resume needs, atomically: written, flushed, read back, renamed. Then all but the newest `keep` are removed.
 
     Args:
-        folder, step: of the training, and its steps done.
-        model, optimizer: what is trained, and by what.
+        step: steps done.
         recipe: digest of all that shapes the result.
         parts: that each batch was cut into, by accumulation and processes together.
         precision: in which the networks compute.
-        keep: how many are kept.
 
     Raises:
         OSError: it could not be written; the checkpoints before it are untouched.
     """
-    path = checkpoint_path(folder, step)
-    state = {"recipe": recipe, "parts": parts, "precision": precision, "step": step}
-    state |= {"model": model.state_dict(), "optimizer": optimizer.state_dict()}
+    path = Path(folder) / f"checkpoint_{step:08d}.pt"
+    facts = {"recipe": recipe, "parts": parts, "precision": precision, "step": step}
+    state = facts | {"model": model.state_dict(), "optimizer": optimizer.state_dict()}
     with atomic_path(path) as partial:
         try:
             torch.save(state, partial)
@@ -83,8 +76,7 @@ def load_checkpoint(path: str | Path) -> dict[str, Any]:
     try:
         state = _read(path)
         if set(state) >= KEYS:
-            # one that has no precision is from before that was kept, and so of another recipe, which is not resumed
-            return {"precision": "float32"} | state
+            return state
         reason = "keys are missing"
     except Exception as error:  # torch, pickle and zip have a kind for each damage
         reason = (str(error) or type(error).__name__).splitlines()[0]

@@ -39,17 +39,11 @@ class TrainingLog:
                 self.writer.add_scalar(name, value, step)
 
     def panel(self, step: int, target: Tensor, losses: Losses, disparity: Tensor) -> None:
-        """Picture of the batch's first sample: target, warped source, depth, error.
-
-        Args:
-            step, losses: steps done, and the batch's losses.
-            target, disparity: (3, H, W) in [0, 1], and (1, H, W).
-        """
+        """Picture of the batch's first sample: target (3, H, W) in [0, 1], warped source, depth of the disparity (1, H, W), error."""
         from dualdepth import plots
 
-        figure = plots.training_panel(
-            target.cpu().numpy(), losses.synthesized[0].cpu().numpy(), disparity[0].cpu().numpy(), losses.error[0, 0].cpu().numpy()
-        )
+        shown = target, losses.synthesized[0], disparity[0], losses.error[0, 0]
+        figure = plots.training_panel(*(picture.cpu().numpy() for picture in shown))
         with self._warn_of_errors():
             plots.save(figure, self.folder / "panels" / f"step_{step:07d}.png")
             self.writer.add_figure("panel", figure, step)

@@ -37,12 +37,8 @@ class StageOutput(NamedTuple):
     def statistics(self) -> dict[str, Tensor]:
         """Numbers for the log, 0-d: loss components, pose size (depth units, radians), disparity, spread of the features."""
         losses, disparity = self.losses, self.disparity
-        numbers = {
-            "loss": losses.total.detach(),
-            "photometric": losses.photometric.detach(),
-            "smoothness": losses.smoothness.detach(),
-            "feature": losses.feature.detach(),
-            "valid_share": losses.valid_share,
+        parts = ("photometric", "smoothness", "feature", "valid_share")
+        numbers = {"loss": losses.total.detach(), **{name: getattr(losses, name).detach() for name in parts}} | {
             "translation": self.poses[..., :3].norm(dim=-1).mean(),
             "rotation": self.poses[..., 3:].norm(dim=-1).mean(),
             "disparity_min": disparity.amin(),

@@ -90,20 +90,14 @@ def start_weights(run: Run, variant: Variant, seed: int) -> Path | None:
 def make_stage(profile: Profile, name: str, start: Path | None = None) -> Stage:
     """The stage that a variant trains, with stage 1's LR-Net and PoseNet in it where it starts from them.
 
-    Args:
-        profile, name: the profile, and its variant.
-        start: weights of stage 1.
-
     Raises:
-        InputError: the weights are of another size or backbone, damaged, or not of stage 1.
+        InputError: the weights are damaged or of another network.
     """
-    variant, settings = profile.variant(name), profile.of_variant(name)
+    variant, training = profile.variant(name), profile.of_variant(name).training
     # a dual network's LR-Net has the weights of `start`: only a first training begins with ImageNet's
-    pretrained = settings.training.pretrained if variant.network in ("lr", "single") else False
-    depth_net = profile.architecture(name).build(pretrained)
-    stage = Stage(depth_net, PoseNet(), settings.training, low=variant.network == "lr")
+    depth_net = profile.architecture(name).build(training.pretrained if variant.network in ("lr", "single") else False)
+    stage = Stage(depth_net, PoseNet(), training, low=variant.network == "lr")
     if start:
-        check_start(start, settings, variant)
         load_weights(start, stage.pose_net, prefix="pose_net.")
         if variant.network == "dual":
             load_weights(start, stage.depth_net.lr_net, prefix="depth_net.")
@@ -127,20 +121,11 @@ def check_start(start: Path, profile: Profile, variant: Variant) -> None:
         raise InputError(f"{start}: trained with {', '.join(differing)}; train {variant.starts_from} again with this profile")
 
 
-def _pretrained(variant: Variant, profile: Profile, before: dict[str, Any] | None) -> bool:
-    """Whether the encoder began with ImageNet's weights, here or in stage 1."""
-    if variant.network == "hr":
-        return False
-    return before["pretrained"] if before else bool(profile.training.pretrained)
-
-
 def _mark(weights: Path) -> Path:
     """Write `trained.json`, which tells the chain that these weights are done; the weights themselves are never the chain's to delete."""
     marker = weights.with_name("trained.json")
-    if not is_main_process():
-        return weights
     digest = json.dumps({"weights_sha256": load_card(weights)["sha256"]}) + "\n"
-    if not marker.exists() or marker.read_text(encoding="utf-8") != digest:
+    if is_main_process() and not (marker.exists() and marker.read_text(encoding="utf-8") == digest):
         write_text(marker, digest)
     return weights
 
@@ -153,7 +138,8 @@ def _card(run: Run, name: str, triplets: int, drives: list[str], start: Path | N
         "about": f"{variant.about}, trained on {triplets} triplets: {run.profile.about}",
         **run.profile.architecture(name).model_dump(),
         "hr_size": list(profile.data.hr_size),
-        "pretrained": _pretrained(variant, profile, before),
+        # whether the encoder began with ImageNet's weights, here or in stage 1
+        "pretrained": variant.network != "hr" and (before["pretrained"] if before else bool(profile.training.pretrained)),
         "drives": sorted(set(drives) | set(before["drives"] if before else ())),
         "starts_from": {k: before[k] for k in ("variant", "seed", "steps", "sha256")} if before else None,
         "stamp": run.stamp([run.index(name), *([start] if start else [])]),

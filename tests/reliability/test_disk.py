@@ -12,12 +12,16 @@ from small_training import run as run_with  # noqa: F401
 
 from dualdepth.errors import InputError
 from dualdepth.files import write_json
-from dualdepth.training.checkpoints import checkpoint_path, last_checkpoint, load_checkpoint
+from dualdepth.training.checkpoints import last_checkpoint, load_checkpoint
 
 # ruff: noqa: F811
 
 SMALL = 300_000
 """Bytes: more than a log or a picture, less than weights."""
+
+
+def checkpoint_path(folder, step):
+    return folder / f"checkpoint_{step:08d}.pt"
 
 
 @contextlib.contextmanager

@@ -4,7 +4,7 @@ import pickle
 
 import pytest
 import torch
-from small_nets import Net, Trap, equal, trained_net
+from small_nets import Trap, equal, trained_net
 
 from dualdepth.errors import InputError
 from dualdepth.training.checkpoints import checkpoint_paths, last_checkpoint, load_checkpoint, save_checkpoint
@@ -84,8 +84,3 @@ def test_what_is_no_checkpoint_is_refused_in_one_line_and_its_code_is_not_run(tm
         load_checkpoint(path)
     assert "\n" not in str(error.value)
     assert not (tmp_path / "mark").exists()
-
-
-def test_one_of_before_precisions_were_kept_was_of_float32(tmp_path):
-    torch.save({"recipe": "a", "parts": 1, "step": 1, "model": Net().state_dict(), "optimizer": {}}, tmp_path / "old.pt")
-    assert load_checkpoint(tmp_path / "old.pt")["precision"] == "float32"
