@@ -79,11 +79,6 @@ def mean_over_seen(minimum: Tensor, seen: Tensor) -> Tensor:
     return minimum.sum() / seen.sum().clamp(min=1)
 
 
-def mean_of_minimum(errors: Tensor, valid: Tensor) -> Tensor:
-    """Mean over pixels of the minimum over sources: errors and validity (B, S, H, W) → scalar."""
-    return mean_over_seen(*minimum_over_sources(errors, valid))
-
-
 def smoothness(disparity: Tensor, image: Tensor) -> Tensor:
     """Mean of |∂D| e^−|∂I|, first order, on the disparity divided by its mean (scalar).
 
@@ -102,12 +97,9 @@ class Losses(NamedTuple):
     photometric: Tensor
     smoothness: Tensor
     feature: Tensor
-    synthesized: Tensor
-    """(B, 3, H, W): the first source warped to the target, detached."""
-    error: Tensor
-    """(B, 1, H, W): minimum photometric error, detached; 0 where no source is valid."""
-    valid_share: Tensor
-    """Share of pixels with a valid source."""
+    synthesized: Tensor  # (B, 3, H, W): the first source warped to the target, detached
+    error: Tensor  # (B, 1, H, W): minimum photometric error, detached; 0 where no source is valid
+    valid_share: Tensor  # of pixels with a valid source
 
 
 def total_loss(
@@ -153,7 +145,7 @@ def total_loss(
             if features is not None:
                 warped = sample(features[1].float().flatten(0, 1), pixel)
                 distance = feature_error(features[0].float().repeat_interleave(sources, 0), warped)
-                feature = mean_of_minimum(distance.unflatten(0, (-1, sources)).squeeze(2), valid)
+                feature = mean_over_seen(*minimum_over_sources(distance.unflatten(0, (-1, sources)).squeeze(2), valid))
         if settings.beyond_paper_automask:
             still = photometric_error(target, views, settings.alpha).unflatten(0, (-1, sources)).squeeze(2)
             minimum, seen = minimum_over_sources(errors, valid & (errors < still.amin(dim=1, keepdim=True)))

@@ -58,18 +58,12 @@ class Protocol:
 class Pixels(NamedTuple):
     """The valid pixels of one image, P of them, as the metrics see them."""
 
-    ground_truth: np.ndarray
-    """(P,) float64, metres."""
-    prediction: np.ndarray
-    """(P,) float64, metres, scaled and clamped."""
-    index: np.ndarray
-    """(P,) places in the flattened (H, W) map, to look up distance, region or label."""
-    scale_ratio: float
-    """What the prediction was multiplied by; 1 without median scaling."""
-    unscaled: np.ndarray
-    """(P,) float64, the resized prediction as depth, before it was scaled and clamped."""
-    shape: tuple[int, int]
-    """(H, W) of the map."""
+    ground_truth: np.ndarray  # (P,) float64, metres
+    prediction: np.ndarray  # (P,) float64, metres, scaled and clamped
+    index: np.ndarray  # (P,) places in the flattened (H, W) map, to look up distance, region or label
+    scale_ratio: float  # what the prediction was multiplied by; 1 without median scaling
+    unscaled: np.ndarray  # (P,) float64, the resized prediction as depth, before it was scaled and clamped
+    shape: tuple[int, int]  # (H, W) of the map
 
 
 Parts = Callable[[int, Pixels], dict[str, np.ndarray]]
@@ -99,8 +93,8 @@ def errors(ground_truth: np.ndarray, prediction: np.ndarray) -> dict[str, float]
         "sq_rel": (squared / ground_truth).mean(),
         "rmse": squared.mean() ** 0.5,
         "rmse_log": ((np.log(ground_truth) - np.log(prediction)) ** 2).mean() ** 0.5,
+        **{f"a{k}": (ratio < 1.25**k).mean() for k in (1, 2, 3)},
     }
-    values |= {f"a{k}": (ratio < 1.25**k).mean() for k in (1, 2, 3)}
     return {name: float(value) for name, value in values.items()}
 
 
@@ -125,7 +119,9 @@ def valid_pixels(prediction: np.ndarray, ground_truth: np.ndarray, protocol: Pro
     prediction = np.asarray(prediction, np.float64 if prediction.dtype.itemsize > 4 else np.float32)
     if prediction.ndim != 2 or ground_truth.ndim != 2 or 0 in prediction.shape:
         raise InputError(f"shapes {prediction.shape} and {ground_truth.shape}; expected (height, width) for both")
-    _check_positive(prediction, protocol.kind)
+    lowest, highest = prediction.min(), prediction.max()
+    if not 1.2e-38 <= lowest <= highest < math.inf:  # below the smallest normal number the inverse overflows
+        raise InputError(f"the {protocol.kind} goes from {lowest:g} to {highest:g}; predictions must be finite and above 0")
 
     # compared in the ground truth's own precision: a float32 0.001 is not above 0.001
     above, below = (protocol.min_depth, protocol.max_depth) if protocol.valid == "range" else (0.0, math.inf)
@@ -197,10 +193,9 @@ def evaluate_parts(
     Raises:
         InputError: the numbers of maps differ, no part of any image has a pixel, or a prediction cannot be scored; the image is named.
     """
-    settings = Protocol(**protocol)
+    settings, count = Protocol(**protocol), len(predictions)
     if not hasattr(ground_truths, "__len__"):
         ground_truths = list(ground_truths)
-    count = len(predictions)
     if count != len(ground_truths):
         raise InputError(f"{name}: holds {count} predictions but there are {len(ground_truths)} ground truths; give one for each, in order")
     rows, places, skipped = [], [], []
@@ -241,12 +236,3 @@ def summary(frame: pd.DataFrame) -> dict[str, float | int]:
         "scale_ratio_median": float(ratio.median()),
         "scale_ratio_spread": float((ratio / ratio.median()).std(ddof=0)),
     }
-
-
-def _check_positive(prediction: np.ndarray, kind: str) -> None:
-    lowest, highest = float(prediction.min()), float(prediction.max())
-    if not (math.isfinite(lowest) and math.isfinite(highest)):
-        raise InputError(f"the {kind} holds NaN or infinite values; predictions must be finite and above 0")
-    # below the smallest normal number the inverse overflows
-    if lowest < 1.2e-38:
-        raise InputError(f"the {kind} goes down to {lowest:g}; predictions must be finite and above 0")

@@ -24,10 +24,8 @@ DISPARITY_SCALE, DISPARITY_OFFSET = 10.0, 0.01
 class DepthOutput(NamedTuple):
     """What a depth network gives at scales s = 0 … 3."""
 
-    logits: list[Tensor]
-    """(B, 1, H/2^s, W/2^s) before the sigmoid, float32."""
-    features: Tensor
-    """(B, 16, H, W), the last."""
+    logits: list[Tensor]  # (B, 1, H/2^s, W/2^s) before the sigmoid, float32
+    features: Tensor  # (B, 16, H, W), the last
 
     @property
     def disparities(self) -> list[Tensor]:

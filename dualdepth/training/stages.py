@@ -21,16 +21,11 @@ class StageOutput(NamedTuple):
     """Losses of a batch, what a picture of it needs, and what its numbers for the log are taken from; all but the losses is detached."""
 
     losses: Losses
-    target: Tensor
-    """(B, 3, H, W) in [0, 1]."""
-    disparity: Tensor
-    """(B, 1, H, W), finest scale."""
-    poses: Tensor
-    """(B, S, 6), target → source."""
-    features: Tensor
-    """(B, 16, H, W), the decoder's last."""
-    attention_scale: Tensor | None = None
-    """Root mean square of SA-Attention's features, where there are some."""
+    target: Tensor  # (B, 3, H, W) in [0, 1]
+    disparity: Tensor  # (B, 1, H, W), finest scale
+    poses: Tensor  # (B, S, 6), target → source
+    features: Tensor  # (B, 16, H, W), the decoder's last
+    attention_scale: Tensor | None = None  # root mean square of SA-Attention's features, where there are some
 
     @property
     @torch.no_grad()
