@@ -17,20 +17,15 @@ from dualdepth.device import Precision
 class Cost(NamedTuple):
     """Size of a network and work of one inference."""
 
-    params: int
-    """Numbers in all parameters, frozen ones included, shared ones once; buffers are not counted."""
-    macs: int
-    """Multiply-accumulates of convolutions and matrix products; the paper's "GFLOPs" are 10⁹ of these (docs/networks.md)."""
+    params: int  # numbers in all parameters, frozen ones included, shared ones once; buffers are not counted
+    macs: int  # multiply-accumulates of convolutions and matrix products; the paper's "GFLOPs" are 10⁹ of these (docs/networks.md)
 
 
 class Latency(NamedTuple):
     """Time and memory of one inference."""
 
     median_ms: float
-    peak_mb: float
-    """10⁶ bytes held at once: weights, inputs, and whatever inference allocates through torch on top of them."""
-    device: str
-    """`cpu`, or the GPU's name."""
+    peak_mb: float  # 10⁶ bytes held at once: weights, inputs, and whatever inference allocates through torch on top of them
 
 
 def count(model: torch.nn.Module, *inputs: torch.Tensor, **options: Any) -> Cost:
@@ -73,8 +68,7 @@ def latency(model: torch.nn.Module, *inputs: torch.Tensor, repeats: int = 10, pr
             run()
             times.append(now() - start)
     held = sum(value.numel() * value.element_size() for value in (*model.parameters(), *model.buffers(), *inputs))
-    name = torch.cuda.get_device_name(device) if device.type == "cuda" else device.type
-    return Latency(statistics.median(times) * 1e3, (held + extra) / 1e6, name)
+    return Latency(statistics.median(times) * 1e3, (held + extra) / 1e6)
 
 
 def _cuda_peak(run: Callable[[], object], device: torch.device) -> int:

@@ -27,8 +27,6 @@ def check_leak(card: dict[str, Any], drives: Iterable[str], *, allow: bool, weig
     if not shared:
         return ""
     if not allow:
-        raise InputError(
-            f"{weights}: was trained on {', '.join(shared)}, of which frames are to be scored: score other drives, or give --allow-leak"
-            " (make reproduce ALLOW_LEAK=1), which marks the result"
-        )
+        mend = "score other drives, or give --allow-leak (make reproduce ALLOW_LEAK=1), which marks the result"
+        raise InputError(f"{weights}: was trained on {', '.join(shared)}, of which frames are to be scored: {mend}")
     return f"LEAK: trained on {', '.join(shared)}"

@@ -138,7 +138,7 @@ def trajectory_errors(truth: Trajectory, prediction: Trajectory, align: str = "7
         segment or no such pair.
 
     Raises:
-        InputError: the trajectories do not fit (`paired`), or the alignment is unknown.
+        InputError: the trajectories do not fit (`pair_frames`), or the alignment is unknown.
     """
     frames, poses, true_poses = pair_frames(prediction, truth)
     poses, true_poses = aligned(poses, true_poses, align), relative(true_poses)

