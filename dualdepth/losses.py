@@ -49,7 +49,6 @@ def photometric_error(target: Tensor, synthesized: Tensor, alpha: float) -> Tens
     Args:
         target: (B, 3, H, W) in [0, 1].
         synthesized: (B·S, 3, H, W), S views for each target.
-        alpha: share of SSIM.
 
     Returns:
         (B·S, 1, H, W).

@@ -5,7 +5,7 @@ plain mean over images. Values are compared in float64.
 """
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, get_args, get_type_hints
 
@@ -149,7 +149,7 @@ def scale_and_clamp(ground_truth: np.ndarray, prediction: np.ndarray, protocol: 
     return np.clip(prediction * ratio, protocol.min_depth, protocol.max_depth), ratio
 
 
-def evaluate(predictions: Sequence[np.ndarray] | np.ndarray, ground_truths: Iterable[np.ndarray], **options: Any) -> pd.DataFrame:
+def evaluate(predictions: Sequence[np.ndarray] | np.ndarray, ground_truths: Collection[np.ndarray], **options: Any) -> pd.DataFrame:
     """Score predictions against ground truth, image by image: `evaluate_parts` of all valid pixels, with its arguments and errors.
 
     Returns:
@@ -165,7 +165,7 @@ def whole(_: int, pixels: Pixels) -> dict[str, np.ndarray]:
 
 def evaluate_parts(
     predictions: Sequence[np.ndarray] | np.ndarray,
-    ground_truths: Iterable[np.ndarray],
+    ground_truths: Collection[np.ndarray],
     parts: Parts,
     *,
     name: str = "predictions",
@@ -178,8 +178,7 @@ def evaluate_parts(
 
     Args:
         predictions: (N, h, w) array or N arrays (h, w), depth or disparity.
-        ground_truths: N maps (H, W) in metres, 0 where there is no measurement; with a length, they are read one by one.
-        parts: gives each image's parts.
+        ground_truths: N maps (H, W) in metres, 0 where there is no measurement; they are read one by one.
         name: what error messages call the predictions, such as their file.
         own_ratio: scale each part by its own median ratio instead.
         metrics: of paired depths.
@@ -194,8 +193,6 @@ def evaluate_parts(
         InputError: the numbers of maps differ, no part of any image has a pixel, or a prediction cannot be scored; the image is named.
     """
     settings, count = Protocol(**protocol), len(predictions)
-    if not hasattr(ground_truths, "__len__"):
-        ground_truths = list(ground_truths)
     if count != len(ground_truths):
         raise InputError(f"{name}: holds {count} predictions but there are {len(ground_truths)} ground truths; give one for each, in order")
     rows, places, skipped = [], [], []

@@ -13,7 +13,6 @@ def check_leak(card: dict[str, Any], drives: Iterable[str], *, allow: bool, weig
         card: of the training; its `drives` are those of its ancestors, too.
         drives: that the scored frames are of; odometry sequences as the raw drives they were cut from.
         allow: score them all the same.
-        weights: whose they are, for the message.
 
     Returns:
         What a result must say: nothing, or the leak by name.

@@ -71,7 +71,6 @@ def evaluate_make3d(
     Args:
         predictions: (h, w) each, depth of what is `visible` by the convention, positive, of any size and scale.
         grids: (55, 305) metres each.
-        convention: `band` or `whole`.
         median_scaling: multiply each prediction by median(ground truth) / median(prediction); else they are in metres already.
 
     Returns:

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import nn
 
-from dualdepth.device import Precision
 from dualdepth.errors import InputError
 from dualdepth.files import atomic_path
 
 KEYS = {"recipe", "parts", "precision", "step", "model", "optimizer"}
+"""Digest of all that shapes the result; parts that each batch was cut into, by accumulation and processes together; precision in which the
+networks compute; steps done; states of model and optimiser."""
 
 
 def checkpoint_paths(folder: str | Path) -> list[Path]:
@@ -21,31 +21,13 @@ def checkpoint_paths(folder: str | Path) -> list[Path]:
     return sorted(Path(folder).glob("checkpoint_*.pt"), reverse=True)
 
 
-def save_checkpoint(
-    folder: str | Path,
-    step: int,
-    model: nn.Module,
-    optimizer: torch.optim.Optimizer,
-    *,
-    recipe: str,
-    parts: int = 1,
-    precision: Precision = "float32",
-    keep: int = 2,
-) -> Path:
-    """Write what a resume needs, atomically: written, flushed, read back, renamed. Then all but the newest `keep` are removed.
-
-    Args:
-        step: steps done.
-        recipe: digest of all that shapes the result.
-        parts: that each batch was cut into, by accumulation and processes together.
-        precision: in which the networks compute.
+def save_checkpoint(folder: str | Path, state: dict[str, Any], keep: int = 2) -> Path:
+    """Write what a resume needs, `KEYS`, atomically: written, flushed, read back, renamed. Then all but the newest `keep` are removed.
 
     Raises:
         OSError: it could not be written; the checkpoints before it are untouched.
     """
-    path = Path(folder) / f"checkpoint_{step:08d}.pt"
-    facts = {"recipe": recipe, "parts": parts, "precision": precision, "step": step}
-    state = facts | {"model": model.state_dict(), "optimizer": optimizer.state_dict()}
+    path = Path(folder) / f"checkpoint_{state['step']:08d}.pt"
     with atomic_path(path) as partial:
         try:
             torch.save(state, partial)
@@ -67,7 +49,7 @@ def _read(path: Path) -> Any:
 
 
 def load_checkpoint(path: str | Path) -> dict[str, Any]:
-    """Read a checkpoint: `recipe`, `parts`, `precision`, `step`, `model`, `optimizer`.
+    """Read a checkpoint, a dictionary of `KEYS`.
 
     Raises:
         InputError: the file is missing, truncated, changed, foreign, or holds anything but tensors and plain values (its code is not run).

@@ -222,9 +222,10 @@ class Trainer:
         self.saved_at = time.monotonic()
         if not self.main:
             return
-        facts = {"recipe": self.recipe, "parts": self.parts, "precision": self.precision, "keep": self.settings.keep_checkpoints}
+        state = {"recipe": self.recipe, "parts": self.parts, "precision": self.precision, "step": step}
+        state |= {"model": self.accelerator.unwrap_model(self.model).state_dict(), "optimizer": self.optimizer.state_dict()}
         try:
-            save_checkpoint(self.folder, step, self.accelerator.unwrap_model(self.model), self.optimizer, **facts)
+            save_checkpoint(self.folder, state, self.settings.keep_checkpoints)
         except OSError as error:
             before = checkpoint_paths(self.folder)
             kept = f"the last good one is {before[0].name}" if before else "there is none yet"
@@ -237,8 +238,8 @@ class Trainer:
         if log:
             facts = {"seed": self.seed, "recipe": self.recipe, "steps": self.total, "seconds_of_last_run": round(seconds, 1)}
             facts |= {"resumed_at": self.start, "device": device_name(), "precision": self.precision, "batch_parts": self.parts}
-            save_weights(weights, self.accelerator.unwrap_model(self.model), card | facts | {"last_losses": log.last()})
             log.close()
+            save_weights(weights, self.accelerator.unwrap_model(self.model), card | facts | {"last_losses": log.last()})
             for path in checkpoint_paths(self.folder):
                 path.unlink(missing_ok=True)
         self.accelerator.wait_for_everyone()

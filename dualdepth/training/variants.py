@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +38,11 @@ def train_variant(run: Run, name: str, seed: int) -> Path:
     if start:
         check_start(start, profile, variant)
     folder, weights, recipe = run.training(name, seed), run.weights(name, seed), run.recipe(name, seed)
-    with _alone(folder):
+    with contextlib.ExitStack() as held:
+        if is_main_process():
+            check_writable(folder)
+            held.enter_context(locked(folder / "lock", PATIENCE))
+        wait_for_everyone()  # the first one has the lock before anything is read
         if (card := finished_card(weights)) and card.get("recipe") == recipe:
             if is_main_process():
                 print(f"already trained: {card['steps']} steps, seed {seed}")
@@ -47,17 +50,6 @@ def train_variant(run: Run, name: str, seed: int) -> Path:
         settings = getattr(profile.training, variant.stage)
         trainer = Trainer(lambda: make_stage(run.profile, name, start), settings, profile, triplets, folder, seed=seed, recipe=recipe)
         return _mark(trainer.run(_card(run, name, len(triplets), drives, start)))
-
-
-@contextlib.contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Hold the lock of a training's folder; the other processes wait for the first one to have it, before anything is read."""
-    with contextlib.ExitStack() as held:
-        if is_main_process():
-            check_writable(folder)
-            held.enter_context(locked(folder / "lock", PATIENCE))
-        wait_for_everyone()
-        yield
 
 
 def training_data(run: Run, name: str) -> tuple[list[Triplet], list[str]]:
