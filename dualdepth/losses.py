@@ -13,16 +13,10 @@ SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2
 
 
 def ssim(a: Tensor, b: Tensor) -> Tensor:
-    """Structural similarity of images in [0, 1], with the field's 3×3 box window and reflection padding.
+    """Structural similarity (B·S, C, H, W), at most 1, with the field's 3×3 box window and reflection padding.
 
+    Of images in [0, 1]: `a` (B, C, H, W), and `b` (B·S, C, H, W), S for each of `a`, whose own statistics are then computed once.
     This is monodepth2's and GeoNet's SSIM; kornia's has a Gaussian window, which gives other values.
-
-    Args:
-        a: (B, C, H, W).
-        b: (B·S, C, H, W), S images for each of `a`, whose own statistics are then computed once.
-
-    Returns:
-        (B·S, C, H, W), at most 1.
     """
     sources = len(b) // len(a)
     mean_a = box(a)
@@ -46,12 +40,7 @@ def box(x: Tensor) -> Tensor:
 def photometric_error(target: Tensor, synthesized: Tensor, alpha: float) -> Tensor:
     """α (1 − SSIM)/2 + (1 − α) |I_t − I_s→t|, averaged over channels, in [0, 1] (paper, section "Photometric Loss").
 
-    Args:
-        target: (B, 3, H, W) in [0, 1].
-        synthesized: (B·S, 3, H, W), S views for each target.
-
-    Returns:
-        (B·S, 1, H, W).
+    (B·S, 1, H, W) of targets (B, 3, H, W) in [0, 1] and S synthesized views for each, (B·S, 3, H, W).
     """
     dissimilarity = ((1.0 - ssim(target, synthesized)) / 2.0).clamp(0.0, 1.0)
     difference = (target.repeat_interleave(len(synthesized) // len(target), 0) - synthesized).abs()

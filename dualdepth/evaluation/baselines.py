@@ -25,12 +25,9 @@ class DepthSums(NamedTuple):
 
 
 def depth_sums(maps: Iterable[np.ndarray], *, grid: tuple[int, int], max_depth: float) -> DepthSums:
-    """Gather sparse depth maps on a grid.
+    """Gather sparse depth maps (H, W) in metres, 0 where there is no measurement, of any sizes, on a grid of (h, w) cells over the image.
 
-    Args:
-        maps: (H, W) depth in metres each, 0 where there is no measurement; sizes may differ.
-        grid: (h, w) cells over the whole image.
-        max_depth: metres; only depths strictly between 0 and this count, as in the evaluation.
+    Only depths strictly between 0 and `max_depth` count, as in the evaluation.
     """
     total, count = np.zeros(grid), np.zeros(grid, np.int64)
     for depth in maps:
@@ -42,15 +39,10 @@ def depth_sums(maps: Iterable[np.ndarray], *, grid: tuple[int, int], max_depth: 
 
 
 def mean_depth(sums: DepthSums, baseline: str) -> np.ndarray:
-    """A baseline's depth on the grid.
+    """A baseline's depth on the grid: (1, 1), (h, 1) or (h, w) float32, metres, all positive.
 
-    Args:
-        sums: the training side's depths.
-        baseline: one of `BASELINES`: the mean over everything; over each row of the grid, a row without a measurement taking the nearest
-            row that has one; over each cell, a cell without one taking its row's mean.
-
-    Returns:
-        (1, 1), (h, 1) or (h, w) float32, metres, all positive.
+    It is the mean over everything; over each row of the grid, a row without a measurement taking the nearest row that has one; or over
+    each cell, a cell without one taking its row's mean (`BASELINES`).
 
     Raises:
         InputError: there is no valid depth.
@@ -77,13 +69,8 @@ def leave_one_drive_out(
 ) -> list[np.ndarray]:
     """Predict each map from the maps of all the other drives, where there are no separate training frames.
 
-    Args:
-        maps, drives: (H, W) ground truth each, and the drive of each, as in `Frame.drive`; two drives or more.
-        baseline: one of `BASELINES`.
-        grid, max_depth: (h, w) cells, and metres, as for `depth_sums`.
-
-    Returns:
-        A prediction for each map, of its size, in metres; maps of one drive and size share one array.
+    Of maps (H, W) and the drive of each, as in `Frame.drive`, two drives or more; the rest is as for `depth_sums` and `mean_depth`.
+    Predictions have the maps' sizes, in metres; those of one drive and size share one array.
     """
     of_drive = {
         drive: depth_sums((depth for depth, its in zip(maps, drives) if its == drive), grid=grid, max_depth=max_depth)

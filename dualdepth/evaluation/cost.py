@@ -29,14 +29,10 @@ class Latency(NamedTuple):
 
 
 def count(model: torch.nn.Module, *inputs: torch.Tensor, **options: Any) -> Cost:
-    """Count parameters and multiply-accumulates of `model(*inputs, **options)` in eval mode.
+    """Count parameters and multiply-accumulates of `model(*inputs, **options)` in eval mode; of inputs only the size matters.
 
     The forward of a copy runs on the meta device, which computes shapes only, so it takes no time and no memory. `FlopCounterMode` counts
     two operations a multiply-accumulate, so its sum is halved: a 3→8 convolution of 3×3 on 16×16 pixels is 55,296.
-
-    Args:
-        model: left unchanged.
-        *inputs: tensors of the size that counts, such as (1, 3, 384, 1248), on any device; their values do not matter.
     """
     shapes = copy.deepcopy(model).to("meta").eval()
     with torch.no_grad(), FlopCounterMode(display=False) as counter:

@@ -77,13 +77,9 @@ def crop_box(crop: str, height: int, width: int) -> tuple[slice, slice]:
 
 
 def errors(ground_truth: np.ndarray, prediction: np.ndarray) -> dict[str, float]:
-    """The seven metrics of paired depths.
+    """The seven metrics, by the names in `METRICS`, of paired depths (P,) in metres, positive, P ≥ 1.
 
-    Args:
-        ground_truth, prediction: (P,) metres, positive; P ≥ 1.
-
-    Returns:
-        Values by the names in `METRICS`; a1, a2, a3 are shares in [0, 1] with max(gt/p, p/gt) < 1.25^k, strictly.
+    a1, a2, a3 are shares in [0, 1] with max(gt/p, p/gt) < 1.25^k, strictly.
     """
     difference = ground_truth - prediction
     squared = difference**2
@@ -150,11 +146,7 @@ def scale_and_clamp(ground_truth: np.ndarray, prediction: np.ndarray, protocol: 
 
 
 def evaluate(predictions: Sequence[np.ndarray] | np.ndarray, ground_truths: Collection[np.ndarray], **options: Any) -> pd.DataFrame:
-    """Score predictions against ground truth, image by image: `evaluate_parts` of all valid pixels, with its arguments and errors.
-
-    Returns:
-        One row per scored image, indexed by its place (`image`).
-    """
+    """`evaluate_parts` of all valid pixels, with its arguments and errors: one row per scored image, indexed by its place (`image`)."""
     return evaluate_parts(predictions, ground_truths, whole, **options).droplevel("part")
 
 
@@ -219,11 +211,9 @@ def evaluate_parts(
 
 
 def summary(frame: pd.DataFrame) -> dict[str, float | int]:
-    """Plain means over the scored images of `evaluate`, flat.
+    """Plain means over the scored images of `evaluate`: the seven metrics, `n` scored and `skipped` images, and the median scale ratio.
 
-    Returns:
-        The seven metrics, `n` scored and `skipped` images, and the median scale ratio with its spread: the standard
-        deviation of ratio / median ratio, as monodepth2 prints it.
+    Its spread is the standard deviation of ratio / median ratio, as monodepth2 prints it.
     """
     ratio = frame["scale_ratio"]
     return {

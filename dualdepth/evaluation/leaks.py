@@ -7,15 +7,9 @@ from dualdepth.errors import InputError
 
 
 def check_leak(card: dict[str, Any], drives: Iterable[str], *, allow: bool, weights: Any = "the weights") -> str:
-    """Refuse to score frames of drives that a training has seen.
+    """Refuse to score frames of `drives` that a training has seen, unless it is allowed; odometry sequences count as their raw drives.
 
-    Args:
-        card: of the training; its `drives` are those of its ancestors, too.
-        drives: that the scored frames are of; odometry sequences as the raw drives they were cut from.
-        allow: score them all the same.
-
-    Returns:
-        What a result must say: nothing, or the leak by name.
+    The card's `drives` are those of the training's ancestors, too. What a result must say comes back: nothing, or the leak by name.
 
     Raises:
         InputError: there is a leak and it is not allowed, or the card does not say what was trained on.

@@ -71,7 +71,7 @@ def evaluate_make3d(
     Args:
         predictions: (h, w) each, depth of what is `visible` by the convention, positive, of any size and scale.
         grids: (55, 305) metres each.
-        median_scaling: multiply each prediction by median(ground truth) / median(prediction); else they are in metres already.
+        median_scaling: see `Protocol`; else predictions are in metres already.
 
     Returns:
         The frame of `evaluate` with these `METRICS`; `valid_pixels` are of 6405 cells.

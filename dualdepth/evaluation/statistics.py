@@ -5,8 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dualdepth.errors import InputError
-
 
 class Difference(NamedTuple):
     """Mean of a − b and its confidence interval."""
@@ -28,13 +26,8 @@ def paired_bootstrap(
         seed, samples: of the draws; the same seed gives the same interval.
         block: draw runs of so many neighbours, for values that depend on their neighbours' (circular block bootstrap, Politis and
             Romano 1992).
-
-    Raises:
-        InputError: different lengths, fewer than two images, or values that are not finite.
     """
     a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
-    if a.ndim != 1 or a.shape != b.shape or a.size < 2 or not np.isfinite([a, b]).all():
-        raise InputError(f"paired bootstrap: shapes {a.shape} and {b.shape}; give two lists of equal length (≥ 2) of finite values")
     difference = a - b
     block = min(block, a.size)
     runs = np.concatenate([difference, difference[: block - 1]])
@@ -86,11 +79,7 @@ class Comparison(NamedTuple):
 
 
 def compare(a: Sequence[Sequence[float]], b: Sequence[Sequence[float]], *, seed: int = 0, block: int = 1) -> Comparison:
-    """Compare values (S seeds, N images) of two methods, of the same seeds and images; `seed` and `block` as for `paired_bootstrap`.
-
-    Raises:
-        InputError: fewer than two images, or values that are not finite.
-    """
+    """Compare values (S seeds, N images) of two methods, of the same seeds and images; `seed` and `block` as for `paired_bootstrap`."""
     a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
     spread = mean_std((a - b).mean(axis=1))[1]
     return Comparison(float(a.mean()), float(b.mean()), *paired_bootstrap(a.mean(0), b.mean(0), seed=seed, block=block), spread, len(a))

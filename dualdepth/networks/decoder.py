@@ -44,11 +44,7 @@ def in_float32(kind: str) -> contextlib.AbstractContextManager[object]:
 
 
 class Decoder(nn.Module):
-    """Features at strides 2 … 32 → disparities at 1/1, 1/2, 1/4, 1/8 of the input size.
-
-    Args:
-        channels: of the maps at strides 2, 4, 8, 16, 32; None where there is no stride-2 map.
-    """
+    """Features at strides 2 … 32, of `channels`, None where there is no stride-2 map → disparities at 1/1, 1/2, 1/4, 1/8 of the size."""
 
     def __init__(self, channels: Sequence[int | None]) -> None:
         super().__init__()

@@ -49,8 +49,7 @@ class HREncoder(nn.Module):
 class HRNet(nn.Module):
     """The slim network that sees the full resolution, with room for global features at stride 32.
 
-    Args:
-        global_channels: of the features handed over by LR-Net; 0 for HR-Net by itself, which the paper says cannot work alone.
+    `global_channels` are those of LR-Net's features; 0 for HR-Net by itself, which the paper says cannot work alone.
     """
 
     def __init__(self, global_channels: int = 0) -> None:
@@ -74,8 +73,7 @@ class DualNet(nn.Module):
 
     Args:
         lr_net: of stage 1; its parameters are frozen here.
-        link: what HR-Net receives, see `Design`.
-        similarity, normalise: of SA-Attention.
+        link, similarity, normalise: what HR-Net receives, see `Design`.
         residual: beyond the paper, HR-Net's logits are added to LR-Net's, enlarged and not below `RESIDUAL_FLOOR`, so that it begins
             with LR-Net's depth.
     """

@@ -10,7 +10,7 @@ from accelerate.utils import gather_object
 from torch import Tensor
 
 from dualdepth.files import write_text
-from dualdepth.losses import Losses
+from dualdepth.training.stages import StageOutput
 
 
 class TrainingLog:
@@ -38,11 +38,11 @@ class TrainingLog:
             for name, value in values.items():
                 self.writer.add_scalar(name, value, step)
 
-    def panel(self, step: int, target: Tensor, losses: Losses, disparity: Tensor) -> None:
-        """Picture of the batch's first sample: target (3, H, W) in [0, 1], warped source, depth of the disparity (1, H, W), error."""
+    def panel(self, step: int, output: StageOutput) -> None:
+        """Picture of the batch's first sample: target, warped source, depth, error."""
         from dualdepth import plots
 
-        shown = target, losses.synthesized[0], disparity[0], losses.error[0, 0]
+        shown = output.target[0], output.losses.synthesized[0], output.disparity[0, 0], output.losses.error[0, 0]
         figure = plots.training_panel(*(picture.cpu().numpy() for picture in shown))
         with self._warn_of_errors():
             plots.save(figure, self.folder / "panels" / f"step_{step:07d}.png")

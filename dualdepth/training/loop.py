@@ -175,7 +175,7 @@ class Trainer:
                     log.row(step, values | {"learning_rate": self.optimizer.param_groups[0]["lr"], "steps_per_second": rate})
                     bar.set_postfix(photometric=f"{values['photometric']:.4f}")
                 if log and (step % self.settings.panel_every == 0 or step == self.total):
-                    log.panel(step, output.target[0], output.losses, output.disparity[0])
+                    log.panel(step, output)
                 stopping = stop_requested()
                 late = time.monotonic() - self.saved_at > 60 * self.settings.checkpoint_minutes
                 if stopping or late or step == self.total or step % self.settings.checkpoint_every == 0:
