@@ -120,5 +120,5 @@ def test_an_empty_or_unequal_input_is_one_clear_error():
         evaluate_parts([depth], [np.zeros_like(depth)], near_and_far)
     with pytest.raises(InputError, match="holds 2 predictions but there are 1 ground truths"):
         evaluate_parts([depth, depth], [depth], near_and_far)
-    with pytest.raises(InputError, match="image 1: the depth holds NaN"):
+    with pytest.raises(InputError, match="image 1: the depth goes from nan"):
         evaluate_parts([depth, np.full_like(depth, np.nan)], [depth, depth], near_and_far)
