@@ -13,16 +13,10 @@ SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2
 
 
 def ssim(a: Tensor, b: Tensor) -> Tensor:
-    """Structural similarity of images in [0, 1], with the field's 3×3 box window and reflection padding.
+    """Structural similarity (B·S, C, H, W), at most 1, with the field's 3×3 box window and reflection padding.
 
+    Of images in [0, 1]: `a` (B, C, H, W), and `b` (B·S, C, H, W), S for each of `a`, whose own statistics are then computed once.
     This is monodepth2's and GeoNet's SSIM; kornia's has a Gaussian window, which gives other values.
-
-    Args:
-        a: (B, C, H, W).
-        b: (B·S, C, H, W), S images for each of `a`, whose own statistics are then computed once.
-
-    Returns:
-        (B·S, C, H, W), at most 1.
     """
     sources = len(b) // len(a)
     mean_a = box(a)
@@ -46,13 +40,7 @@ def box(x: Tensor) -> Tensor:
 def photometric_error(target: Tensor, synthesized: Tensor, alpha: float) -> Tensor:
     """α (1 − SSIM)/2 + (1 − α) |I_t − I_s→t|, averaged over channels, in [0, 1] (paper, section "Photometric Loss").
 
-    Args:
-        target: (B, 3, H, W) in [0, 1].
-        synthesized: (B·S, 3, H, W), S views for each target.
-        alpha: share of SSIM.
-
-    Returns:
-        (B·S, 1, H, W).
+    (B·S, 1, H, W) of targets (B, 3, H, W) in [0, 1] and S synthesized views for each, (B·S, 3, H, W).
     """
     dissimilarity = ((1.0 - ssim(target, synthesized)) / 2.0).clamp(0.0, 1.0)
     difference = (target.repeat_interleave(len(synthesized) // len(target), 0) - synthesized).abs()
@@ -79,11 +67,6 @@ def mean_over_seen(minimum: Tensor, seen: Tensor) -> Tensor:
     return minimum.sum() / seen.sum().clamp(min=1)
 
 
-def mean_of_minimum(errors: Tensor, valid: Tensor) -> Tensor:
-    """Mean over pixels of the minimum over sources: errors and validity (B, S, H, W) → scalar."""
-    return mean_over_seen(*minimum_over_sources(errors, valid))
-
-
 def smoothness(disparity: Tensor, image: Tensor) -> Tensor:
     """Mean of |∂D| e^−|∂I|, first order, on the disparity divided by its mean (scalar).
 
@@ -102,12 +85,9 @@ class Losses(NamedTuple):
     photometric: Tensor
     smoothness: Tensor
     feature: Tensor
-    synthesized: Tensor
-    """(B, 3, H, W): the first source warped to the target, detached."""
-    error: Tensor
-    """(B, 1, H, W): minimum photometric error, detached; 0 where no source is valid."""
-    valid_share: Tensor
-    """Share of pixels with a valid source."""
+    synthesized: Tensor  # (B, 3, H, W): the first source warped to the target, detached
+    error: Tensor  # (B, 1, H, W): minimum photometric error, detached; 0 where no source is valid
+    valid_share: Tensor  # of pixels with a valid source
 
 
 def total_loss(
@@ -153,7 +133,7 @@ def total_loss(
             if features is not None:
                 warped = sample(features[1].float().flatten(0, 1), pixel)
                 distance = feature_error(features[0].float().repeat_interleave(sources, 0), warped)
-                feature = mean_of_minimum(distance.unflatten(0, (-1, sources)).squeeze(2), valid)
+                feature = mean_over_seen(*minimum_over_sources(distance.unflatten(0, (-1, sources)).squeeze(2), valid))
         if settings.beyond_paper_automask:
             still = photometric_error(target, views, settings.alpha).unflatten(0, (-1, sources)).squeeze(2)
             minimum, seen = minimum_over_sources(errors, valid & (errors < still.amin(dim=1, keepdim=True)))

@@ -6,10 +6,14 @@ import torch
 from slow_losses import slow_minimum, slow_photometric, slow_smoothness, slow_ssim, slow_total
 
 from dualdepth import geometry
-from dualdepth.losses import feature_error, mean_of_minimum, photometric_error, smoothness, ssim, total_loss
+from dualdepth.losses import feature_error, mean_over_seen, minimum_over_sources, photometric_error, smoothness, ssim, total_loss
 from dualdepth.settings import Loss
 
 ALPHA = 0.85
+
+
+def mean_of_minimum(errors, valid):
+    return mean_over_seen(*minimum_over_sources(errors, valid))
 
 
 def settings(*weights, **others):

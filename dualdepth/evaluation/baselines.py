@@ -18,49 +18,34 @@ GRID = (47, 156)
 
 
 class DepthSums(NamedTuple):
-    """Sums and counts of the valid depths in each cell of a grid over the image; sums of several image sets can be added or subtracted."""
+    """Sums and counts of the valid depths in each cell of a grid over the image."""
 
-    total: np.ndarray
-    """(h, w) float64, metres."""
-    count: np.ndarray
-    """(h, w) int64, valid pixels."""
-
-    def plus(self, other: "DepthSums", sign: int = 1) -> "DepthSums":
-        """Both sets together; with sign −1, this set without the other, which must be part of it."""
-        return DepthSums(self.total + sign * other.total, self.count + sign * other.count)
+    total: np.ndarray  # (h, w) float64, metres
+    count: np.ndarray  # (h, w) int64, valid pixels
 
 
 def depth_sums(maps: Iterable[np.ndarray], *, grid: tuple[int, int], max_depth: float) -> DepthSums:
-    """Gather sparse depth maps on a grid.
+    """Gather sparse depth maps (H, W) in metres, 0 where there is no measurement, of any sizes, on a grid of (h, w) cells over the image.
 
-    Args:
-        maps: (H, W) depth in metres each, 0 where there is no measurement; sizes may differ.
-        grid: (h, w) cells over the whole image.
-        max_depth: metres; only depths strictly between 0 and this count, as in the evaluation.
+    Only depths strictly between 0 and `max_depth` count, as in the evaluation.
     """
-    sums = DepthSums(np.zeros(grid), np.zeros(grid, np.int64))
+    total, count = np.zeros(grid), np.zeros(grid, np.int64)
     for depth in maps:
         rows, columns = np.nonzero((depth > 0) & (depth < max_depth))
         cell = rows * grid[0] // depth.shape[0] * grid[1] + columns * grid[1] // depth.shape[1]
-        total = np.bincount(cell, depth[rows, columns].astype(np.float64), minlength=grid[0] * grid[1])
-        count = np.bincount(cell, minlength=grid[0] * grid[1])
-        sums = sums.plus(DepthSums(total.reshape(grid), count.reshape(grid)))
-    return sums
+        total += np.bincount(cell, depth[rows, columns].astype(np.float64), minlength=total.size).reshape(grid)
+        count += np.bincount(cell, minlength=count.size).reshape(grid)
+    return DepthSums(total, count)
 
 
 def mean_depth(sums: DepthSums, baseline: str) -> np.ndarray:
-    """A baseline's depth on the grid.
+    """A baseline's depth on the grid: (1, 1), (h, 1) or (h, w) float32, metres, all positive.
 
-    Args:
-        sums: the training side's depths.
-        baseline: one of `BASELINES`: the mean over everything; over each row of the grid, a row without a measurement taking the nearest
-            row that has one; over each cell, a cell without one taking its row's mean.
-
-    Returns:
-        (1, 1), (h, 1) or (h, w) float32, metres, all positive.
+    It is the mean over everything; over each row of the grid, a row without a measurement taking the nearest row that has one; or over
+    each cell, a cell without one taking its row's mean (`BASELINES`).
 
     Raises:
-        InputError: there is no valid depth, or no such baseline.
+        InputError: there is no valid depth.
     """
     if not sums.count.any():
         raise InputError("the training ground truth has no valid depth, so no baseline can be fitted; give frames with laser scans")
@@ -71,17 +56,11 @@ def mean_depth(sums: DepthSums, baseline: str) -> np.ndarray:
     row_mean = (sums.total.sum(axis=1)[nearest] / sums.count.sum(axis=1)[nearest])[:, None]
     if baseline == "row_mean":
         return row_mean.astype(np.float32)
-    if baseline == "mean_map":
-        return np.where(sums.count > 0, sums.total / np.maximum(sums.count, 1), row_mean).astype(np.float32)
-    raise InputError(f"baseline {baseline!r} is unknown: choose one of {', '.join(BASELINES)}")
+    return np.where(sums.count > 0, sums.total / np.maximum(sums.count, 1), row_mean).astype(np.float32)
 
 
 def predict(sums: DepthSums, baseline: str, size: tuple[int, int]) -> np.ndarray:
-    """A baseline's prediction for any image of `size` = (H, W): the grid's means, enlarged bilinearly.
-
-    Returns:
-        (H, W) float32, metres.
-    """
+    """A baseline's prediction (H, W) for any image of `size` = (H, W), in metres, float32: the grid's means, enlarged bilinearly."""
     return cv2.resize(mean_depth(sums, baseline), size[::-1], interpolation=cv2.INTER_LINEAR)
 
 
@@ -90,25 +69,15 @@ def leave_one_drive_out(
 ) -> list[np.ndarray]:
     """Predict each map from the maps of all the other drives, where there are no separate training frames.
 
-    Args:
-        maps, drives: (H, W) ground truth each, and the drive of each, as in `Frame.drive`.
-        baseline: one of `BASELINES`.
-        grid, max_depth: (h, w) cells, and metres, as for `depth_sums`.
-
-    Returns:
-        A prediction for each map, of its size, in metres; maps of one drive and size share one array.
-
-    Raises:
-        InputError: the lengths differ, or there is just one drive.
+    Of maps (H, W) and the drive of each, as in `Frame.drive`, two drives or more; the rest is as for `depth_sums` and `mean_depth`.
+    Predictions have the maps' sizes, in metres; those of one drive and size share one array.
     """
-    if len(maps) != len(drives) or len(set(drives)) < 2:
-        raise InputError(f"{len(maps)} maps of {len(drives)} named frames in {len(set(drives))} drives; give one drive each, two or more")
-    sizes, of_drive = [], {}
-    for depth, drive in zip(maps, drives):
-        sums = depth_sums([depth], grid=grid, max_depth=max_depth)
-        of_drive[drive] = of_drive[drive].plus(sums) if drive in of_drive else sums
-        sizes.append(depth.shape)
-    everything = DepthSums(sum(s.total for s in of_drive.values()), sum(s.count for s in of_drive.values()))
-    others = {drive: everything.plus(sums, sign=-1) for drive, sums in of_drive.items()}
-    predictions = {(drive, size): predict(others[drive], baseline, size) for drive, size in set(zip(drives, sizes))}
-    return [predictions[drive, size] for drive, size in zip(drives, sizes)]
+    of_drive = {
+        drive: depth_sums((depth for depth, its in zip(maps, drives) if its == drive), grid=grid, max_depth=max_depth)
+        for drive in dict.fromkeys(drives)
+    }
+    total, count = (sum(arrays) for arrays in zip(*of_drive.values()))
+    others = {drive: DepthSums(total - sums.total, count - sums.count) for drive, sums in of_drive.items()}
+    wanted = [(drive, depth.shape) for drive, depth in zip(drives, maps)]
+    predictions = {(drive, size): predict(others[drive], baseline, size) for drive, size in set(wanted)}
+    return [predictions[key] for key in wanted]

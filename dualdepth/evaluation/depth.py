@@ -5,7 +5,7 @@ plain mean over images. Values are compared in float64.
 """
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args, get_type_hints
@@ -59,18 +59,12 @@ class Protocol:
 class Pixels(NamedTuple):
     """The valid pixels of one image, P of them, as the metrics see them."""
 
-    ground_truth: np.ndarray
-    """(P,) float64, metres."""
-    prediction: np.ndarray
-    """(P,) float64, metres, scaled and clamped."""
-    index: np.ndarray
-    """(P,) places in the flattened (H, W) map, to look up distance, region or label."""
-    scale_ratio: float
-    """What the prediction was multiplied by; 1 without median scaling."""
-    unscaled: np.ndarray
-    """(P,) float64, the resized prediction as depth, before it was scaled and clamped."""
-    shape: tuple[int, int]
-    """(H, W) of the map."""
+    ground_truth: np.ndarray  # (P,) float64, metres
+    prediction: np.ndarray  # (P,) float64, metres, scaled and clamped
+    index: np.ndarray  # (P,) places in the flattened (H, W) map, to look up distance, region or label
+    scale_ratio: float  # what the prediction was multiplied by; 1 without median scaling
+    unscaled: np.ndarray  # (P,) float64, the resized prediction as depth, before it was scaled and clamped
+    shape: tuple[int, int]  # (H, W) of the map
 
 
 Parts = Callable[[int, Pixels], dict[str, np.ndarray]]
@@ -84,13 +78,9 @@ def crop_box(crop: str, height: int, width: int) -> tuple[slice, slice]:
 
 
 def errors(ground_truth: np.ndarray, prediction: np.ndarray) -> dict[str, float]:
-    """The seven metrics of paired depths.
+    """The seven metrics, by the names in `METRICS`, of paired depths (P,) in metres, positive, P ≥ 1.
 
-    Args:
-        ground_truth, prediction: (P,) metres, positive; P ≥ 1.
-
-    Returns:
-        Values by the names in `METRICS`; a1, a2, a3 are shares in [0, 1] with max(gt/p, p/gt) < 1.25^k, strictly.
+    a1, a2, a3 are shares in [0, 1] with max(gt/p, p/gt) < 1.25^k, strictly.
     """
     difference = ground_truth - prediction
     squared = difference**2
@@ -100,8 +90,8 @@ def errors(ground_truth: np.ndarray, prediction: np.ndarray) -> dict[str, float]
         "sq_rel": (squared / ground_truth).mean(),
         "rmse": squared.mean() ** 0.5,
         "rmse_log": ((np.log(ground_truth) - np.log(prediction)) ** 2).mean() ** 0.5,
+        **{f"a{k}": (ratio < 1.25**k).mean() for k in (1, 2, 3)},
     }
-    values |= {f"a{k}": (ratio < 1.25**k).mean() for k in (1, 2, 3)}
     return {name: float(value) for name, value in values.items()}
 
 
@@ -126,7 +116,9 @@ def valid_pixels(prediction: np.ndarray, ground_truth: np.ndarray, protocol: Pro
     prediction = np.asarray(prediction, np.float64 if prediction.dtype.itemsize > 4 else np.float32)
     if prediction.ndim != 2 or ground_truth.ndim != 2 or 0 in prediction.shape:
         raise InputError(f"shapes {prediction.shape} and {ground_truth.shape}; expected (height, width) for both")
-    _check_positive(prediction, protocol.kind)
+    lowest, highest = prediction.min(), prediction.max()
+    if not 1.2e-38 <= lowest <= highest < math.inf:  # below the smallest normal number the inverse overflows
+        raise InputError(f"the {protocol.kind} goes from {lowest:g} to {highest:g}; predictions must be finite and above 0")
 
     # compared in the ground truth's own precision: a float32 0.001 is not above 0.001
     above, below = (protocol.min_depth, protocol.max_depth) if protocol.valid == "range" else (0.0, math.inf)
@@ -154,12 +146,8 @@ def scale_and_clamp(ground_truth: np.ndarray, prediction: np.ndarray, protocol: 
     return np.clip(prediction * ratio, protocol.min_depth, protocol.max_depth), ratio
 
 
-def evaluate(predictions: Sequence[np.ndarray] | np.ndarray, ground_truths: Iterable[np.ndarray], **options: Any) -> pd.DataFrame:
-    """Score predictions against ground truth, image by image: `evaluate_parts` of all valid pixels, with its arguments and errors.
-
-    Returns:
-        One row per scored image, indexed by its place (`image`).
-    """
+def evaluate(predictions: Sequence[np.ndarray] | np.ndarray, ground_truths: Collection[np.ndarray], **options: Any) -> pd.DataFrame:
+    """`evaluate_parts` of all valid pixels, with its arguments and errors: one row per scored image, indexed by its place (`image`)."""
     return evaluate_parts(predictions, ground_truths, whole, **options).droplevel("part")
 
 
@@ -170,7 +158,7 @@ def whole(_: int, pixels: Pixels) -> dict[str, np.ndarray]:
 
 def evaluate_parts(
     predictions: Sequence[np.ndarray] | np.ndarray,
-    ground_truths: Iterable[np.ndarray],
+    ground_truths: Collection[np.ndarray],
     parts: Parts,
     *,
     name: str = "predictions",
@@ -183,8 +171,7 @@ def evaluate_parts(
 
     Args:
         predictions: (N, h, w) array or N arrays (h, w), depth or disparity.
-        ground_truths: N maps (H, W) in metres, 0 where there is no measurement; with a length, they are read one by one.
-        parts: gives each image's parts.
+        ground_truths: N maps (H, W) in metres, 0 where there is no measurement; they are read one by one.
         name: what error messages call the predictions, such as their file.
         own_ratio: scale each part by its own median ratio instead.
         metrics: of paired depths.
@@ -198,10 +185,7 @@ def evaluate_parts(
     Raises:
         InputError: the numbers of maps differ, no part of any image has a pixel, or a prediction cannot be scored; the image is named.
     """
-    settings = Protocol(**protocol)
-    if not hasattr(ground_truths, "__len__"):
-        ground_truths = list(ground_truths)
-    count = len(predictions)
+    settings, count = Protocol(**protocol), len(predictions)
     if count != len(ground_truths):
         raise InputError(f"{name}: holds {count} predictions but there are {len(ground_truths)} ground truths; give one for each, in order")
     rows, places, skipped = [], [], []
@@ -247,11 +231,9 @@ def load_predictions(path: str | Path) -> np.ndarray:
 
 
 def summary(frame: pd.DataFrame) -> dict[str, float | int]:
-    """Plain means over the scored images of `evaluate`, flat.
+    """Plain means over the scored images of `evaluate`: the seven metrics, `n` scored and `skipped` images, and the median scale ratio.
 
-    Returns:
-        The seven metrics, `n` scored and `skipped` images, and the median scale ratio with its spread: the standard
-        deviation of ratio / median ratio, as monodepth2 prints it.
+    Its spread is the standard deviation of ratio / median ratio, as monodepth2 prints it.
     """
     ratio = frame["scale_ratio"]
     return {
@@ -261,12 +243,3 @@ def summary(frame: pd.DataFrame) -> dict[str, float | int]:
         "scale_ratio_median": float(ratio.median()),
         "scale_ratio_spread": float((ratio / ratio.median()).std(ddof=0)),
     }
-
-
-def _check_positive(prediction: np.ndarray, kind: str) -> None:
-    lowest, highest = float(prediction.min()), float(prediction.max())
-    if not (math.isfinite(lowest) and math.isfinite(highest)):
-        raise InputError(f"the {kind} holds NaN or infinite values; predictions must be finite and above 0")
-    # below the smallest normal number the inverse overflows
-    if lowest < 1.2e-38:
-        raise InputError(f"the {kind} goes down to {lowest:g}; predictions must be finite and above 0")

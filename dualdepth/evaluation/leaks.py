@@ -7,16 +7,9 @@ from dualdepth.errors import InputError
 
 
 def check_leak(card: dict[str, Any], drives: Iterable[str], *, allow: bool, weights: Any = "the weights") -> str:
-    """Refuse to score frames of drives that a training has seen.
+    """Refuse to score frames of `drives` that a training has seen, unless it is allowed; odometry sequences count as their raw drives.
 
-    Args:
-        card: of the training; its `drives` are those of its ancestors, too.
-        drives: that the scored frames are of; odometry sequences as the raw drives they were cut from.
-        allow: score them all the same.
-        weights: whose they are, for the message.
-
-    Returns:
-        What a result must say: nothing, or the leak by name.
+    The card's `drives` are those of the training's ancestors, too. What a result must say comes back: nothing, or the leak by name.
 
     Raises:
         InputError: there is a leak and it is not allowed, or the card does not say what was trained on.
@@ -27,8 +20,6 @@ def check_leak(card: dict[str, Any], drives: Iterable[str], *, allow: bool, weig
     if not shared:
         return ""
     if not allow:
-        raise InputError(
-            f"{weights}: was trained on {', '.join(shared)}, of which frames are to be scored: score other drives, or give --allow-leak"
-            " (make reproduce ALLOW_LEAK=1), which marks the result"
-        )
+        mend = "score other drives, or give --allow-leak (make reproduce ALLOW_LEAK=1), which marks the result"
+        raise InputError(f"{weights}: was trained on {', '.join(shared)}, of which frames are to be scored: {mend}")
     return f"LEAK: trained on {', '.join(shared)}"

@@ -37,9 +37,9 @@ def visible(photo: np.ndarray, convention: Convention) -> np.ndarray:
     """What the network is shown of a photo (H, W, 3): all of it, or its central band (W // 2, W, 3).
 
     Raises:
-        InputError: an unknown convention, or a photo that is lower than its band.
+        InputError: the photo is lower than its band.
     """
-    if _known(convention) == "whole":
+    if convention == "whole":
         return photo
     height, width = photo.shape[:2]
     if height < width // 2:
@@ -50,7 +50,7 @@ def visible(photo: np.ndarray, convention: Convention) -> np.ndarray:
 
 def on_grid(prediction: np.ndarray, convention: Convention) -> np.ndarray:
     """Prediction (h, w) of what is `visible`, at the scored cells of the laser grid, (21, 305)."""
-    rows = GRID_SHAPE[0] if _known(convention) == "whole" else ROWS.stop - ROWS.start
+    rows = GRID_SHAPE[0] if convention == "whole" else ROWS.stop - ROWS.start
     cells = cv2.resize(prediction, (GRID_SHAPE[1], rows), interpolation=cv2.INTER_NEAREST)
     return cells[ROWS] if convention == "whole" else cells
 
@@ -71,26 +71,16 @@ def evaluate_make3d(
     Args:
         predictions: (h, w) each, depth of what is `visible` by the convention, positive, of any size and scale.
         grids: (55, 305) metres each.
-        convention: `band` or `whole`.
-        median_scaling: multiply each prediction by median(ground truth) / median(prediction); else they are in metres already.
+        median_scaling: see `Protocol`; else predictions are in metres already.
 
     Returns:
         The frame of `evaluate` with these `METRICS`; `valid_pixels` are of 6405 cells.
 
     Raises:
-        InputError: the numbers differ, a shape is wrong, a prediction is not finite and positive, or no photo has a valid cell.
+        InputError: the numbers differ, a prediction is not finite and positive, or no photo has a valid cell.
     """
-    for number, (prediction, grid) in enumerate(zip(predictions, grids)):
-        if grid.shape != GRID_SHAPE or prediction.ndim != 2 or not prediction.size:
-            raise InputError(f"image {number}: shapes {prediction.shape} and {grid.shape}; expected (height, width) and {GRID_SHAPE}")
     cells = [on_grid(prediction, convention) for prediction in predictions]
     truths = [np.asarray(grid[ROWS], np.float64) for grid in grids]
     required = f"a cell between 0 and {FARTHEST:g} m in rows 17:38"
     protocol = {"crop": "none", "min_depth": NEAREST, "max_depth": FARTHEST, "median_scaling": median_scaling}
     return evaluate(cells, truths, metrics=c1_errors, required=required, **protocol)
-
-
-def _known(convention: str) -> str:
-    if convention not in CONVENTIONS:
-        raise InputError(f"convention {convention!r} is unknown: choose one of {', '.join(CONVENTIONS)}")
-    return convention

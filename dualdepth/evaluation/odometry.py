@@ -29,11 +29,9 @@ def relative(poses: np.ndarray) -> np.ndarray:
 
 
 def snippets(poses: np.ndarray, length: int, frames: np.ndarray | None = None) -> np.ndarray:
-    """All overlapping windows of `length` poses: (S, L, 4, 4); none where there are fewer.
+    """All overlapping windows of `length` poses (N, 4, 4): (S, L, 4, 4); none where there are fewer.
 
-    Args:
-        poses, length: (N, 4, 4), of which L make a snippet.
-        frames: (N,) increasing frame numbers; where given, only windows of consecutive ones are cut.
+    Where increasing frame numbers (N,) are given, only windows of consecutive ones are cut.
     """
     starts = np.arange(max(len(poses) - length + 1, 0))
     if frames is not None:
@@ -44,20 +42,13 @@ def snippets(poses: np.ndarray, length: int, frames: np.ndarray | None = None) -
 def snippet_errors(truth: np.ndarray, prediction: np.ndarray) -> pd.DataFrame:
     """SfMLearner's absolute trajectory error of each snippet; rotations are neither aligned nor scored.
 
-    Each snippet is moved to its first frame and scaled by s = Σ⟨gt, pred⟩ / Σ⟨pred, pred⟩; one that does not move keeps scale 1.
-
-    Args:
-        truth, prediction: (S, L, 4, 4) of `snippets`, of the same frames.
+    Of S snippets (S, L, 4, 4) of the same frames. Each is moved to its first frame and scaled by s = Σ⟨gt, pred⟩ / Σ⟨pred, pred⟩; one that
+    does not move keeps scale 1.
 
     Returns:
         S rows in metres: `ate` = √(Σ‖s·pred − gt‖²) / L, which is no RMSE but what the field prints as mean and population standard
         deviation; `rmse` = √(Σ‖s·pred − gt‖² / L).
-
-    Raises:
-        InputError: the shapes differ.
     """
-    if truth.shape != prediction.shape:
-        raise InputError(f"true snippets have shape {truth.shape} but predicted ones {prediction.shape}; cut both from the same frames")
     gt, pred = relative(truth)[..., :3, 3], relative(prediction)[..., :3, 3]
     squares = (pred * pred).sum((1, 2))
     scale = np.divide((gt * pred).sum((1, 2)), squares, out=np.ones(len(gt)), where=squares > 0)
@@ -84,13 +75,9 @@ def umeyama(source: np.ndarray, target: np.ndarray, *, with_scale: bool = True) 
 def aligned(prediction: np.ndarray, truth: np.ndarray, how: str = "7dof") -> np.ndarray:
     """The prediction laid on `relative(truth)`, after both are moved to their first frame, as Zhan's kitti-odom-eval does.
 
-    Args:
-        prediction, truth: (N, 4, 4), of the same frames.
-        how: `none`; `scale`: the scale alone, by least squares; `6dof` and `7dof`: Umeyama's rigid and similarity transform of the
-            positions, applied to the whole poses; `scale_7dof`: of the latter only the scale. The scale is 1 where nothing moves.
-
-    Returns:
-        (N, 4, 4).
+    All are (N, 4, 4), of the same frames. `how` is `none`; `scale`: the scale alone, by least squares; `6dof` and `7dof`: Umeyama's rigid
+    and similarity transform of the positions, applied to the whole poses; `scale_7dof`: of the latter only the scale. The scale is 1
+    where nothing moves.
 
     Raises:
         InputError: `how` is unknown.
@@ -112,11 +99,8 @@ def aligned(prediction: np.ndarray, truth: np.ndarray, how: str = "7dof") -> np.
 def segment_errors(truth: Trajectory, prediction: Trajectory) -> pd.DataFrame:
     """KITTI's errors of segments of 100 to 800 m, a row for each whose two ends are predicted.
 
-    Segments start at every tenth pose of the ground truth and end at the first whose distance along the true path is more than the length.
-
-    Args:
-        truth: the whole sequence.
-        prediction: aligned already; its frames are numbered as the truth's.
+    Segments start at every tenth pose of the whole ground truth and end at the first whose distance along the true path is more than the
+    length. The prediction is aligned already, and its frames are numbered as the truth's.
 
     Returns:
         `first` and `last` (frame numbers), `length` (m), `t_err` (% of the length), `r_err` (degrees per 100 m).
@@ -126,8 +110,7 @@ def segment_errors(truth: Trajectory, prediction: Trajectory) -> pd.DataFrame:
     starts, lengths = (a.ravel() for a in np.meshgrid(np.arange(0, len(distance), STEP), SEGMENTS, indexing="ij"))
     ends = np.searchsorted(distance, distance[starts] + lengths, side="right")
     starts, lengths, ends = (a[ends < len(distance)] for a in (starts, lengths, ends))
-    place = {frame: index for index, frame in enumerate(prediction.frames.tolist())}
-    at = np.array([place.get(frame, -1) for frame in truth.frames.tolist()])
+    at = pd.Index(prediction.frames).get_indexer(truth.frames)  # −1 where the prediction has no such frame
     both = (at[starts] >= 0) & (at[ends] >= 0)
     starts, lengths, ends = starts[both], lengths[both], ends[both]
     error = _between(_between(prediction.poses[at[starts]], prediction.poses[at[ends]]), _between(truth.poses[starts], truth.poses[ends]))
@@ -144,7 +127,7 @@ def trajectory_errors(truth: Trajectory, prediction: Trajectory, align: str = "7
         segment or no such pair.
 
     Raises:
-        InputError: the trajectories do not fit (`paired`), or the alignment is unknown.
+        InputError: the trajectories do not fit (`pair_frames`), or the alignment is unknown.
     """
     frames, poses, true_poses = pair_frames(prediction, truth)
     poses, true_poses = aligned(poses, true_poses, align), relative(true_poses)

@@ -14,18 +14,12 @@ POLE = 5
 
 
 def in_regions(label_maps: Sequence[np.ndarray], names: Sequence[object]) -> Parts:
-    """Masks of `REGIONS`, for `evaluate_parts`.
-
-    Args:
-        label_maps: (H, W) Cityscapes training ids, one for each image, in order.
-        names: of the label maps, for the error where one is of another size than its ground truth.
-    """
+    """Masks of `REGIONS`, for `evaluate_parts`, from the images' label maps (H, W) of Cityscapes training ids, and the maps' names."""
 
     def parts(number: int, pixels: Pixels) -> dict[str, np.ndarray]:
         labels = label_maps[number]
         if labels.shape != pixels.shape:
-            of_labels, of_truth = ("x".join(map(str, shape)) for shape in (labels.shape, pixels.shape))
-            sizes = f"the label map is of {of_labels} pixels, the ground truth of {of_truth}"
+            sizes = "the label map is of {}x{} pixels, the ground truth of {}x{}".format(*labels.shape, *pixels.shape)
             raise InputError(f"{names[number]}: {sizes}; make the label maps from the images of this ground truth")
         ids = labels.ravel()[pixels.index]
         return {region: np.isin(ids, classes) for region, classes in REGIONS.items()}
@@ -38,9 +32,8 @@ def class_errors(
 ) -> dict[str, float] | None:
     """The seven metrics over the pixels of some classes, with their number as `valid_pixels`; None where there are none.
 
-    Args:
-        depth, truth: (H, W) metres; depth is positive and scaled already, truth is 0 where there is none, and counts below `max_depth`.
-        labels, classes: (H, W) training ids, and those that count.
+    Of maps (H, W): depth in metres, positive and scaled already; truth in metres, 0 where there is none, which counts below `max_depth`;
+    labels, training ids.
     """
     chosen = np.isin(labels, classes) & (truth > 0) & (truth < max_depth)
     if not chosen.any():

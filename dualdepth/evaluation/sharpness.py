@@ -32,11 +32,7 @@ def boundary_scores(depth: np.ndarray, truth: np.ndarray) -> dict[str, float]:
     between the same two pixels, in the same direction. So neither blur nor invented edges help, and scale does not matter.
     `f1` is the published score, over the four directions and weighted over the ratios. On a road it counts the ground's own slope
     just below the horizon, which rises from row to row by more than such ratios; so the scores named `lateral_` are of left and
-    right neighbours alone.
-
-    Args:
-        depth: (H, W), positive.
-        truth: (H, W) of the same size, positive; the sky at some far depth.
+    right neighbours alone. Both maps are (H, W) and positive, the truth's sky at some far depth.
     """
     weights = np.array(BOUNDARY_RATIOS) / sum(BOUNDARY_RATIOS)
     found, known = _steps(depth), _steps(truth)

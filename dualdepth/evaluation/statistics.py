@@ -5,8 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dualdepth.errors import InputError
-
 
 class Difference(NamedTuple):
     """Mean of a − b and its confidence interval."""
@@ -28,16 +26,8 @@ def paired_bootstrap(
         seed, samples: of the draws; the same seed gives the same interval.
         block: draw runs of so many neighbours, for values that depend on their neighbours' (circular block bootstrap, Politis and
             Romano 1992).
-
-    Returns:
-        The mean of a − b, and the lower and upper end of its interval.
-
-    Raises:
-        InputError: different lengths, fewer than two images, or values that are not finite.
     """
     a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
-    if a.ndim != 1 or a.shape != b.shape or a.size < 2 or not np.isfinite([a, b]).all():
-        raise InputError(f"paired bootstrap: shapes {a.shape} and {b.shape}; give two lists of equal length (≥ 2) of finite values")
     difference = a - b
     block = min(block, a.size)
     runs = np.concatenate([difference, difference[: block - 1]])
@@ -51,14 +41,8 @@ def paired_bootstrap(
 
 
 def mean_std(values: Sequence[float] | np.ndarray) -> tuple[float, float]:
-    """Mean and sample standard deviation (n − 1) of a metric over seeds; the deviation of a single seed is NaN.
-
-    Raises:
-        InputError: no values.
-    """
+    """Mean and sample standard deviation (n − 1) of a metric over seeds; the deviation of a single seed is NaN."""
     values = np.asarray(values, np.float64)
-    if not values.size:
-        raise InputError("mean over seeds: no values")
     return float(values.mean()), float(values.std(ddof=1)) if values.size > 1 else float("nan")
 
 
@@ -75,11 +59,9 @@ class Comparison(NamedTuple):
     mean_a: float
     mean_b: float
     difference: float
-    low: float
+    low: float  # of the 95 % interval of the seeds' mean difference, over images
     high: float
-    """95 % interval of the seeds' mean difference, over images."""
-    spread: float
-    """Standard deviation over seeds of the difference; NaN with one seed."""
+    spread: float  # standard deviation over seeds of the difference; NaN with one seed
     seeds: int
 
     @property
@@ -93,23 +75,11 @@ class Comparison(NamedTuple):
 
         With three seeds that asks for a difference of 2.5 times its standard deviation.
         """
-        if np.isnan(self.spread):
-            return None
-        return bool(abs(self.difference) > t_interval(self.spread, self.seeds))
+        return None if np.isnan(self.spread) else bool(abs(self.difference) > t_interval(self.spread, self.seeds))
 
 
 def compare(a: Sequence[Sequence[float]], b: Sequence[Sequence[float]], *, seed: int = 0, block: int = 1) -> Comparison:
-    """Compare per-image values of two methods that were trained with the same seeds.
-
-    Args:
-        a, b: (S, N): of each seed, the images' values of both methods; same seeds, same images.
-        seed, block: see `paired_bootstrap`.
-
-    Raises:
-        InputError: shapes that differ, or values that are not finite.
-    """
+    """Compare values (S seeds, N images) of two methods, of the same seeds and images; `seed` and `block` as for `paired_bootstrap`."""
     a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
-    if a.ndim != 2 or a.shape != b.shape:
-        raise InputError(f"comparison: shapes {a.shape} and {b.shape}; give (seeds, images) of both methods, the same")
     spread = mean_std((a - b).mean(axis=1))[1]
     return Comparison(float(a.mean()), float(b.mean()), *paired_bootstrap(a.mean(0), b.mean(0), seed=seed, block=block), spread, len(a))

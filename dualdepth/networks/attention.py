@@ -1,7 +1,5 @@
 """SA-Attention: LR-Net's deepest features, bundled with those of similar positions (paper, section "SA-Attention Module")."""
 
-from typing import get_args
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
@@ -28,26 +26,19 @@ class SelfAssembledAttention(nn.Module):
 
     def __init__(self, channels: int, similarity: Similarity = "dot", normalise: Normalise = "none", mixing: bool = True) -> None:
         super().__init__()
-        for value, known in ((similarity, Similarity), (normalise, Normalise)):
-            if value not in get_args(known):
-                raise ValueError(f"{value!r} is unknown: choose one of {', '.join(get_args(known))}")
         self.similarity, self.normalise, self.mixing = similarity, normalise, mixing
         self.embed = nn.Conv2d(channels + 3 + 2, WIDTH, 1)
-        self.scale: Tensor | None = None
-        """Root mean square of the last training batch's f″ (0-d)."""
+        self.scale: Tensor | None = None  # root mean square of the last training batch's f″ (0-d)
 
     def forward(self, features: Tensor, image: Tensor) -> Tensor:
         """Assembled features (B, 128, h, w) of features (B, C, h, w) and the image (B, 3, H, W) in [0, 1]; float32 throughout."""
         with in_float32(features.device.type):
             features = features.float()
-            _, _, h, w = features.shape
+            h, w = features.shape[-2:]
             colours = F.adaptive_avg_pool2d(image.float(), (h, w))
             embedded = self.embed(torch.cat([features, colours, coordinates(features)], dim=1))  # f′ (B, 128, h, w)
-            if not self.mixing:
-                assembled = embedded
-            else:
-                f = embedded.flatten(2)  # (B, 128, h·w)
-                assembled = (f @ self.weights(f)).unflatten(2, (h, w))  # f″_j = Σ_i f′_i w_ij
+            f = embedded.flatten(2)  # (B, 128, h·w)
+            assembled = (f @ self.weights(f)).unflatten(2, (h, w)) if self.mixing else embedded  # f″_j = Σ_i f′_i w_ij
             if self.training:
                 self.scale = assembled.detach().square().mean().sqrt()
             return assembled
@@ -72,8 +63,7 @@ class SelfAssembledAttention(nn.Module):
             unit = F.normalize(f, dim=1)
             w = unit.mT @ unit
         else:
-            order = 1 if self.similarity == "l1" else 2
-            w = 1.0 / (1.0 + distances(f, order))
+            w = 1.0 / (1.0 + distances(f, 1 if self.similarity == "l1" else 2))
         if self.normalise == "mean":
             return w / f.shape[2]
         return w.softmax(dim=1) if self.normalise == "softmax" else w

@@ -24,10 +24,8 @@ DISPARITY_SCALE, DISPARITY_OFFSET = 10.0, 0.01
 class DepthOutput(NamedTuple):
     """What a depth network gives at scales s = 0 … 3."""
 
-    logits: list[Tensor]
-    """(B, 1, H/2^s, W/2^s) before the sigmoid, float32."""
-    features: Tensor
-    """(B, 16, H, W), the last."""
+    logits: list[Tensor]  # (B, 1, H/2^s, W/2^s) before the sigmoid, float32
+    features: Tensor  # (B, 16, H, W), the last
 
     @property
     def disparities(self) -> list[Tensor]:
@@ -46,11 +44,7 @@ def in_float32(kind: str) -> contextlib.AbstractContextManager[object]:
 
 
 class Decoder(nn.Module):
-    """Features at strides 2 … 32 → disparities at 1/1, 1/2, 1/4, 1/8 of the input size.
-
-    Args:
-        channels: of the maps at strides 2, 4, 8, 16, 32; None where there is no stride-2 map.
-    """
+    """Features at strides 2 … 32, of `channels`, None where there is no stride-2 map → disparities at 1/1, 1/2, 1/4, 1/8 of the size."""
 
     def __init__(self, channels: Sequence[int | None]) -> None:
         super().__init__()
@@ -62,7 +56,6 @@ class Decoder(nn.Module):
         self.up = nn.ModuleList(conv3x3(i, o) for i, o in zip(inputs, WIDTHS))
         laterals = [*reversed(lateral_channels), None]  # the full resolution has no encoder map
         self.lateral = nn.ModuleList(nn.Conv2d(c, w, 1) if c else nn.Identity() for c, w in zip(laterals, WIDTHS))
-        self.has_lateral = [c is not None for c in laterals]
         self.merge = nn.ModuleList(nn.Sequential(conv3x3(w, w), nn.ELU(), conv3x3(w, w), nn.ELU()) for w in WIDTHS)
         self.heads = nn.ModuleList(conv3x3(w, 1) for w in WIDTHS[1:])
         for layer in self.modules():
@@ -80,7 +73,7 @@ class Decoder(nn.Module):
         logits: list[Tensor] = []
         for level, skip in enumerate([*reversed(finer), None]):
             x = F.interpolate(F.elu(self.up[level](x)), scale_factor=2, mode="nearest")
-            if self.has_lateral[level]:
+            if skip is not None:
                 x = x + self.lateral[level](skip)
             x = self.merge[level](x)
             if level > 0 and len(WIDTHS) - level <= scales:

@@ -7,7 +7,7 @@ from torch.nn import functional as F
 from dualdepth.networks import Link, Normalise, Similarity
 from dualdepth.networks.attention import WIDTH, SelfAssembledAttention
 from dualdepth.networks.decoder import Decoder, DepthOutput
-from dualdepth.networks.encoders import make_encoder
+from dualdepth.networks.encoders import make_encoder, outputs
 
 HR_WIDTHS = (32, 64, 128, 128, 128)
 """HR-Net's channels at strides 2, 4, 8, 16, 32: a declared reconstruction, fitted like the decoder's to the paper's overhead table."""
@@ -19,9 +19,7 @@ that HR-Net could not bring nearer what LR-Net took for infinitely far (docs/lea
 class LRNet(nn.Module):
     """Encoder and decoder with skip connections: image → disparities at four scales; also the single networks of the overhead table.
 
-    Args:
-        encoder: see `make_encoder`.
-        pretrained: ImageNet weights for the encoder.
+    `encoder` and `pretrained` are those of `make_encoder`.
     """
 
     def __init__(self, encoder: str = "resnet50", pretrained: bool | str = False) -> None:
@@ -40,23 +38,18 @@ class HREncoder(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.stages = nn.ModuleList(
-            nn.Sequential(*_block(inputs, outputs, 2), *_block(outputs, outputs, 1)) for inputs, outputs in zip((3, *HR_WIDTHS), HR_WIDTHS)
+            nn.Sequential(*_block(before, width, 2), *_block(width, width, 1)) for before, width in zip((3, *HR_WIDTHS), HR_WIDTHS)
         )
 
     def forward(self, image: Tensor) -> list[Tensor]:
         """Maps at strides 2 … 32 of an image (B, 3, H, W) in [0, 1]; H and W multiples of 32."""
-        maps, x = [], 2.0 * image - 1.0
-        for stage in self.stages:
-            x = stage(x)
-            maps.append(x)
-        return maps
+        return outputs(self.stages, 2.0 * image - 1.0)
 
 
 class HRNet(nn.Module):
     """The slim network that sees the full resolution, with room for global features at stride 32.
 
-    Args:
-        global_channels: of the features handed over by LR-Net; 0 for HR-Net by itself, which the paper says cannot work alone.
+    `global_channels` are those of LR-Net's features; 0 for HR-Net by itself, which the paper says cannot work alone.
     """
 
     def __init__(self, global_channels: int = 0) -> None:
@@ -80,19 +73,13 @@ class DualNet(nn.Module):
 
     Args:
         lr_net: of stage 1; its parameters are frozen here.
-        link: what HR-Net receives, see `Design`.
-        similarity, normalise: of SA-Attention.
+        link, similarity, normalise: what HR-Net receives, see `Design`.
         residual: beyond the paper, HR-Net's logits are added to LR-Net's, enlarged and not below `RESIDUAL_FLOOR`, so that it begins
             with LR-Net's depth.
     """
 
     def __init__(
-        self,
-        lr_net: LRNet,
-        link: Link = "attention",
-        similarity: Similarity = "dot",
-        normalise: Normalise = "none",
-        residual: bool = False,
+        self, lr_net: LRNet, link: Link = "attention", similarity: Similarity = "dot", normalise: Normalise = "none", residual: bool = False
     ) -> None:
         super().__init__()
         self.residual = residual
@@ -122,14 +109,12 @@ class DualNet(nn.Module):
         low = F.avg_pool2d(image, 3)
         with torch.no_grad():
             maps = self.lr_net.encoder(low)
-        features = maps[-1]  # (B, C, H/96, W/96)
-        handed = self.attention(features, low) if self.attention else features
+        handed = self.attention(maps[-1], low) if self.attention else maps[-1]  # (B, C, H/96, W/96)
         enlarged = F.interpolate(handed, scale_factor=3, mode="bilinear", align_corners=False)
         output = self.hr_net(image, scales, enlarged)
-        if not self.residual and not with_lr_depth:
-            return output
-        with torch.no_grad():
-            low_output = self.lr_net.decoder(maps)
+        if self.residual or with_lr_depth:
+            with torch.no_grad():
+                low_output = self.lr_net.decoder(maps)
         if self.residual:
             floored = low_output.logits[0].clamp(min=RESIDUAL_FLOOR)
             start = (F.interpolate(floored, x.shape[-2:], mode="bilinear", align_corners=False) for x in output.logits)
@@ -137,6 +122,6 @@ class DualNet(nn.Module):
         return (output, low_output) if with_lr_depth else output
 
 
-def _block(inputs: int, outputs: int, stride: int) -> list[nn.Module]:
-    conv = nn.Conv2d(inputs, outputs, 3, stride=stride, padding=1, padding_mode="reflect", bias=False)
-    return [conv, nn.BatchNorm2d(outputs), nn.ELU()]
+def _block(width_in: int, width: int, stride: int) -> list[nn.Module]:
+    conv = nn.Conv2d(width_in, width, 3, stride=stride, padding=1, padding_mode="reflect", bias=False)
+    return [conv, nn.BatchNorm2d(width), nn.ELU()]

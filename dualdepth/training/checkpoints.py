@@ -7,18 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import nn
 
-from dualdepth.device import Precision
 from dualdepth.errors import InputError
 from dualdepth.files import atomic_path
 
-KEYS = {"recipe", "parts", "step", "model", "optimizer"}
-
-
-def checkpoint_path(folder: str | Path, step: int) -> Path:
-    """File of a checkpoint."""
-    return Path(folder) / f"checkpoint_{step:08d}.pt"
+KEYS = {"recipe", "parts", "precision", "step", "model", "optimizer"}
+"""Digest of all that shapes the result; parts that each batch was cut into, by accumulation and processes together; precision in which the
+networks compute; steps done; states of model and optimiser."""
 
 
 def checkpoint_paths(folder: str | Path) -> list[Path]:
@@ -26,33 +21,13 @@ def checkpoint_paths(folder: str | Path) -> list[Path]:
     return sorted(Path(folder).glob("checkpoint_*.pt"), reverse=True)
 
 
-def save_checkpoint(
-    folder: str | Path,
-    step: int,
-    model: nn.Module,
-    optimizer: torch.optim.Optimizer,
-    *,
-    recipe: str,
-    parts: int = 1,
-    precision: Precision = "float32",
-    keep: int = 2,
-) -> Path:
-    """Write what a resume needs, atomically: written, flushed, read back, renamed. Then all but the newest `keep` are removed.
-
-    Args:
-        folder, step: of the training, and its steps done.
-        model, optimizer: what is trained, and by what.
-        recipe: digest of all that shapes the result.
-        parts: that each batch was cut into, by accumulation and processes together.
-        precision: in which the networks compute.
-        keep: how many are kept.
+def save_checkpoint(folder: str | Path, state: dict[str, Any], keep: int = 2) -> Path:
+    """Write what a resume needs, `KEYS`, atomically: written, flushed, read back, renamed. Then all but the newest `keep` are removed.
 
     Raises:
         OSError: it could not be written; the checkpoints before it are untouched.
     """
-    path = checkpoint_path(folder, step)
-    state = {"recipe": recipe, "parts": parts, "precision": precision, "step": step}
-    state |= {"model": model.state_dict(), "optimizer": optimizer.state_dict()}
+    path = Path(folder) / f"checkpoint_{state['step']:08d}.pt"
     with atomic_path(path) as partial:
         try:
             torch.save(state, partial)
@@ -74,7 +49,7 @@ def _read(path: Path) -> Any:
 
 
 def load_checkpoint(path: str | Path) -> dict[str, Any]:
-    """Read a checkpoint: `recipe`, `parts`, `precision`, `step`, `model`, `optimizer`.
+    """Read a checkpoint, a dictionary of `KEYS`.
 
     Raises:
         InputError: the file is missing, truncated, changed, foreign, or holds anything but tensors and plain values (its code is not run).
@@ -83,8 +58,7 @@ def load_checkpoint(path: str | Path) -> dict[str, Any]:
     try:
         state = _read(path)
         if set(state) >= KEYS:
-            # one that has no precision is from before that was kept, and so of another recipe, which is not resumed
-            return {"precision": "float32"} | state
+            return state
         reason = "keys are missing"
     except Exception as error:  # torch, pickle and zip have a kind for each damage
         reason = (str(error) or type(error).__name__).splitlines()[0]

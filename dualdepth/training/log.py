@@ -10,7 +10,7 @@ from accelerate.utils import gather_object
 from torch import Tensor
 
 from dualdepth.files import write_text
-from dualdepth.losses import Losses
+from dualdepth.training.stages import StageOutput
 
 
 class TrainingLog:
@@ -38,18 +38,12 @@ class TrainingLog:
             for name, value in values.items():
                 self.writer.add_scalar(name, value, step)
 
-    def panel(self, step: int, target: Tensor, losses: Losses, disparity: Tensor) -> None:
-        """Picture of the batch's first sample: target, warped source, depth, error.
-
-        Args:
-            step, losses: steps done, and the batch's losses.
-            target, disparity: (3, H, W) in [0, 1], and (1, H, W).
-        """
+    def panel(self, step: int, output: StageOutput) -> None:
+        """Picture of the batch's first sample: target, warped source, depth, error."""
         from dualdepth import plots
 
-        figure = plots.training_panel(
-            target.cpu().numpy(), losses.synthesized[0].cpu().numpy(), disparity[0].cpu().numpy(), losses.error[0, 0].cpu().numpy()
-        )
+        shown = output.target[0], output.losses.synthesized[0], output.disparity[0, 0], output.losses.error[0, 0]
+        figure = plots.training_panel(*(picture.cpu().numpy() for picture in shown))
         with self._warn_of_errors():
             plots.save(figure, self.folder / "panels" / f"step_{step:07d}.png")
             self.writer.add_figure("panel", figure, step)

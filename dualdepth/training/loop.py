@@ -103,19 +103,20 @@ class Trainer:
         def seconds(precision: Precision) -> float:
             return step_seconds(make_model(), self._first_batch(self.settings.accumulate, process_count()), device, precision)
 
-        chosen: list[Precision] = ["float32"]
-        if is_main_process():
-            chosen = [choose_precision(self.settings.precision, device, self.profile.data.lr_size, seconds)]
+        chosen = [choose_precision(self.settings.precision, device, self.profile.data.lr_size, seconds) if is_main_process() else "float32"]
         if process_count() > 1:
             PartialState(cpu=several_on_cpu())
             broadcast_object_list(chosen)
         return chosen[0]
 
+    def _batches(self, start: int, stop: int, accumulate: int = 1, processes: int = 1, rank: int = 0) -> StatelessBatches:
+        """The samples of steps from `start` to `stop`, of each batch's parts the share of one process."""
+        shares = {"accumulate": accumulate, "processes": processes, "rank": rank}
+        return StatelessBatches(len(self.triplets), self.stage.batch_size, self.seed, start, stop, **shares)
+
     def _first_batch(self, accumulate: int = 1, processes: int = 1) -> dict[str, Any]:
         """The batch of step 1, or the first process's share of its first part."""
-        shares = {"accumulate": accumulate, "processes": processes}
-        keys = next(iter(StatelessBatches(len(self.triplets), self.stage.batch_size, self.seed, 0, 1, **shares)))
-        return default_collate([self.dataset[key] for key in keys])
+        return default_collate([self.dataset[key] for key in next(iter(self._batches(0, 1, accumulate, processes)))])
 
     def _prepare(self, make_model: Callable[[], Stage], checkpoint: dict[str, Any] | None) -> None:
         """Model and optimiser, new or as the checkpoint has them, on this process's device."""
@@ -128,13 +129,10 @@ class Trainer:
             model = model.to(memory_format=torch.channels_last)
         self.corridor_steps = self.settings.beyond_paper_corridor_steps if model.low else 0
         if 0 < self.total <= self.corridor_steps:
-            raise InputError(
-                f"beyond_paper_corridor_steps {self.corridor_steps} leave the depth network none of stage 1's {self.total} steps: lower"
-                " them, or train longer"
-            )
+            corridor = f"beyond_paper_corridor_steps {self.corridor_steps}"
+            raise InputError(f"{corridor} leave the depth network none of stage 1's {self.total} steps: lower them, or train longer")
         self.trained = [p for p in model.parameters() if p.requires_grad]
-        betas = self.stage.beta1, self.stage.beta2
-        optimizer = torch.optim.Adam(self.trained, lr=self.stage.learning_rates[0][1], betas=betas, fused=True)
+        optimizer = torch.optim.Adam(self.trained, betas=(self.stage.beta1, self.stage.beta2), fused=True)
         if checkpoint:
             model.load_state_dict(checkpoint["model"])
             optimizer.load_state_dict(checkpoint["optimizer"])
@@ -158,13 +156,14 @@ class Trainer:
                 batch).
             SystemExit: SIGTERM came; a checkpoint was written first.
         """
-        batches = one_line_errors(self._loader())
+        shares = self.settings.accumulate, self.accelerator.num_processes, self.accelerator.process_index
+        batches = one_line_errors(make_loader(self.dataset, self._batches(self.start, self.total, *shares), self.settings.workers))
         log = TrainingLog(self.folder, self.start, tqdm.write) if self.main else None
         self.model.train()
         began = time.perf_counter()
         name = f"{self.folder.parent.name} {self.folder.name}"
         bar = tqdm(total=self.total, initial=self.start, desc=name, unit="step", disable=not self.main)
-        with bar, contextlib.closing(batches), StopRequest(self.accelerator) as stop:
+        with bar, contextlib.closing(batches), stop_request(self.accelerator) as stop_requested:
             for step in range(self.start + 1, self.total + 1):
                 logged = step % self.settings.log_every == 0 or step in (1, self.total)
                 output, statistics = self._step(step, batches, logged)
@@ -176,28 +175,14 @@ class Trainer:
                     log.row(step, values | {"learning_rate": self.optimizer.param_groups[0]["lr"], "steps_per_second": rate})
                     bar.set_postfix(photometric=f"{values['photometric']:.4f}")
                 if log and (step % self.settings.panel_every == 0 or step == self.total):
-                    log.panel(step, output.target[0], output.losses, output.disparity[0])
-                stopping = stop.stop_requested()
-                if stopping or step == self.total or self._checkpoint_due(step):
+                    log.panel(step, output)
+                stopping = stop_requested()
+                late = time.monotonic() - self.saved_at > 60 * self.settings.checkpoint_minutes
+                if stopping or late or step == self.total or step % self.settings.checkpoint_every == 0:
                     self._save(step)
                 if stopping:
                     raise SystemExit(f"stopped at step {step} of {self.total}; run the same command to go on")
         return self._finish(card, log, time.perf_counter() - began)
-
-    def _loader(self) -> DataLoader:
-        """What is left of the samples, this process's share of each batch."""
-        batches = StatelessBatches(
-            len(self.triplets),
-            self.stage.batch_size,
-            self.seed,
-            self.start,
-            self.total,
-            accumulate=self.settings.accumulate,
-            rank=self.accelerator.process_index,
-            processes=self.accelerator.num_processes,
-        )
-        self.accelerator.wait_for_everyone()
-        return make_loader(self.dataset, batches, self.settings.workers)
 
     def _step(self, step: int, batches: Iterator[dict[str, Any]], logged: bool) -> tuple[StageOutput, list[dict[str, torch.Tensor]]]:
         """One optimisation step over all parts of its batch: the last part's output, and, where it is logged, each part's statistics."""
@@ -206,8 +191,7 @@ class Trainer:
         for group in self.optimizer.param_groups:
             group["lr"] = CORRIDOR_RATE if in_a_corridor else learning_rate(self.stage, step - 1, self.total)
         self.optimizer.zero_grad()
-        names: list[str] = []
-        statistics: list[dict[str, torch.Tensor]] = []
+        names, statistics = [], []
         for part in range(accumulate):
             batch = {k: v.to(accelerator.device) if torch.is_tensor(v) else v for k, v in next(batches).items()}
             names += batch["name"]
@@ -230,23 +214,18 @@ class Trainer:
     def _check_finite(self, what: str, value: torch.Tensor, step: int, names: Sequence[str]) -> None:
         if not torch.isfinite(value):
             # no checkpoint: the forward pass may have spoilt batch norm's statistics; the last one stays
-            raise InputError(
-                f"{self.folder}: {what} is {value.item()} at step {step}, frames {', '.join(names)}; look at these frames and their"
-                " intrinsics, lower training's learning_rates, or set training.precision to float32"
-            )
-
-    def _checkpoint_due(self, step: int) -> bool:
-        late = time.monotonic() - self.saved_at > 60 * self.settings.checkpoint_minutes
-        return step % self.settings.checkpoint_every == 0 or late
+            mend = "look at these frames and their intrinsics, lower training's learning_rates, or set training.precision to float32"
+            raise InputError(f"{self.folder}: {what} is {value.item()} at step {step}, frames {', '.join(names)}; {mend}")
 
     def _save(self, step: int) -> None:
         """Write a checkpoint; one that cannot be written is a warning, since the training is worth more; the next is tried in its time."""
         self.saved_at = time.monotonic()
         if not self.main:
             return
-        state = {"recipe": self.recipe, "parts": self.parts, "precision": self.precision, "keep": self.settings.keep_checkpoints}
+        state = {"recipe": self.recipe, "parts": self.parts, "precision": self.precision, "step": step}
+        state |= {"model": self.accelerator.unwrap_model(self.model).state_dict(), "optimizer": self.optimizer.state_dict()}
         try:
-            save_checkpoint(self.folder, step, self.accelerator.unwrap_model(self.model), self.optimizer, **state)
+            save_checkpoint(self.folder, state, self.settings.keep_checkpoints)
         except OSError as error:
             before = checkpoint_paths(self.folder)
             kept = f"the last good one is {before[0].name}" if before else "there is none yet"
@@ -257,11 +236,10 @@ class Trainer:
         self.accelerator.wait_for_everyone()
         weights = self.folder / "model.safetensors"
         if log:
-            facts = {"steps": self.total, "seconds_of_last_run": round(seconds, 1), "resumed_at": self.start, "device": device_name()}
-            facts |= {"precision": self.precision, "batch_parts": self.parts, "last_losses": log.last()}
+            facts = {"seed": self.seed, "recipe": self.recipe, "steps": self.total, "seconds_of_last_run": round(seconds, 1)}
+            facts |= {"resumed_at": self.start, "device": device_name(), "precision": self.precision, "batch_parts": self.parts}
             log.close()
-            model = self.accelerator.unwrap_model(self.model)
-            save_weights(weights, model, card | {"seed": self.seed, "recipe": self.recipe} | facts)
+            save_weights(weights, self.accelerator.unwrap_model(self.model), card | facts | {"last_losses": log.last()})
             for path in checkpoint_paths(self.folder):
                 path.unlink(missing_ok=True)
         self.accelerator.wait_for_everyone()
@@ -295,30 +273,23 @@ def one_line_errors(loader: DataLoader) -> Iterator[dict[str, Any]]:
         raise
 
 
-class StopRequest:
-    """Notes SIGTERM (a cluster's notice), so that the loop can write a checkpoint at the end of its step."""
+@contextlib.contextmanager
+def stop_request(accelerator: Accelerator) -> Iterator[Callable[[], bool]]:
+    """Note SIGTERM (a cluster's notice), so that the loop can write a checkpoint at the end of its step.
 
-    def __init__(self, accelerator: Accelerator) -> None:
-        self.accelerator, self.noted = accelerator, False
+    Gives a function that says whether any process was told to stop; all of them ask after each step, so that they stop at the same one.
+    """
+    noted: list[int] = []
 
-    def stop_requested(self) -> bool:
-        """Whether any process was told to stop; all of them ask after each step, so that they stop at the same one."""
-        if self.accelerator.num_processes == 1:
-            return self.noted
-        if self.noted:
-            self.accelerator.set_trigger()
-        return self.accelerator.check_trigger()
+    def stop_requested() -> bool:
+        if accelerator.num_processes == 1:
+            return bool(noted)
+        if noted:
+            accelerator.set_trigger()
+        return accelerator.check_trigger()
 
-    def __enter__(self) -> "StopRequest":
-        try:
-            self.before = signal.signal(signal.SIGTERM, self._note)
-        except ValueError:  # not the main thread: nobody can send us signals
-            self.before = None
-        return self
-
-    def _note(self, *_: object) -> None:
-        self.noted = True
-
-    def __exit__(self, *_: object) -> None:
-        if self.before is not None:
-            signal.signal(signal.SIGTERM, self.before)
+    before = signal.signal(signal.SIGTERM, lambda number, _: noted.append(number))
+    try:
+        yield stop_requested
+    finally:
+        signal.signal(signal.SIGTERM, before)

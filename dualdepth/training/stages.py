@@ -21,28 +21,19 @@ class StageOutput(NamedTuple):
     """Losses of a batch, what a picture of it needs, and what its numbers for the log are taken from; all but the losses is detached."""
 
     losses: Losses
-    target: Tensor
-    """(B, 3, H, W) in [0, 1]."""
-    disparity: Tensor
-    """(B, 1, H, W), finest scale."""
-    poses: Tensor
-    """(B, S, 6), target → source."""
-    features: Tensor
-    """(B, 16, H, W), the decoder's last."""
-    attention_scale: Tensor | None = None
-    """Root mean square of SA-Attention's features, where there are some."""
+    target: Tensor  # (B, 3, H, W) in [0, 1]
+    disparity: Tensor  # (B, 1, H, W), finest scale
+    poses: Tensor  # (B, S, 6), target → source
+    features: Tensor  # (B, 16, H, W), the decoder's last
+    attention_scale: Tensor | None = None  # root mean square of SA-Attention's features, where there are some
 
     @property
     @torch.no_grad()
     def statistics(self) -> dict[str, Tensor]:
         """Numbers for the log, 0-d: loss components, pose size (depth units, radians), disparity, spread of the features."""
         losses, disparity = self.losses, self.disparity
-        numbers = {
-            "loss": losses.total.detach(),
-            "photometric": losses.photometric.detach(),
-            "smoothness": losses.smoothness.detach(),
-            "feature": losses.feature.detach(),
-            "valid_share": losses.valid_share,
+        parts = ("photometric", "smoothness", "feature", "valid_share")
+        numbers = {"loss": losses.total.detach(), **{name: getattr(losses, name).detach() for name in parts}} | {
             "translation": self.poses[..., :3].norm(dim=-1).mean(),
             "rotation": self.poses[..., 3:].norm(dim=-1).mean(),
             "disparity_min": disparity.amin(),
@@ -58,13 +49,8 @@ class Stage(nn.Module):
     """A step of either stage (paper, sections "Dual Network Architecture" and "Loss").
 
     Stage 1: LR-Net and PoseNet learn together from LR images. Stage 2: the depth network learns from HR images by L_ph and L_smooth alone;
-    PoseNet sees LR images as before and goes on learning.
-
-    Args:
-        depth_net: from images to disparities; what is frozen in it stays so.
-        pose_net: a new one, or that of stage 1.
-        training: losses, augmentation, memory layout.
-        low: stage 1, the depth network sees LR images.
+    PoseNet, a new one or that of stage 1, sees LR images as before and goes on learning. In stage 1 (`low`) the depth network sees LR
+    images, too; what is frozen in it stays so. `training` says losses, augmentation and memory layout.
     """
 
     def __init__(self, depth_net: nn.Module, pose_net: PoseNet, training: Training, *, low: bool) -> None:
@@ -118,12 +104,7 @@ def corridor(intrinsics: Tensor, size: tuple[int, int], scales: int) -> list[Ten
 
     The road's rise with a row's distance below the horizon, which is taken to be at the principal point, the walls' with a column's
     distance to the middle; they have no upper edge. It is equally far up to a twelfth of the image's height below the horizon, and up to
-    5.5 times that to either side of the middle.
-
-    Args:
-        intrinsics: (B, 3, 3) at this size.
-        size: (H, W).
-        scales: how many, from the finest on.
+    5.5 times that to either side of the middle. `intrinsics` (B, 3, 3) are those at `size` (H, W); `scales` are from the finest on.
     """
     height, width = size
     fx, fy, cx, cy = (intrinsics[:, row, column, None] for row, column in ((0, 0), (1, 1), (0, 2), (1, 2)))  # (B, 1)

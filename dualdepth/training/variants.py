@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +38,11 @@ def train_variant(run: Run, name: str, seed: int) -> Path:
     if start:
         check_start(start, profile, variant)
     folder, weights, recipe = run.training(name, seed), run.weights(name, seed), run.recipe(name, seed)
-    with _alone(folder):
+    with contextlib.ExitStack() as held:
+        if is_main_process():
+            check_writable(folder)
+            held.enter_context(locked(folder / "lock", PATIENCE))
+        wait_for_everyone()  # the first one has the lock before anything is read
         if (card := finished_card(weights)) and card.get("recipe") == recipe:
             if is_main_process():
                 print(f"already trained: {card['steps']} steps, seed {seed}")
@@ -47,17 +50,6 @@ def train_variant(run: Run, name: str, seed: int) -> Path:
         settings = getattr(profile.training, variant.stage)
         trainer = Trainer(lambda: make_stage(run.profile, name, start), settings, profile, triplets, folder, seed=seed, recipe=recipe)
         return _mark(trainer.run(_card(run, name, len(triplets), drives, start)))
-
-
-@contextlib.contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Hold the lock of a training's folder; the other processes wait for the first one to have it, before anything is read."""
-    with contextlib.ExitStack() as held:
-        if is_main_process():
-            check_writable(folder)
-            held.enter_context(locked(folder / "lock", PATIENCE))
-        wait_for_everyone()
-        yield
 
 
 def training_data(run: Run, name: str) -> tuple[list[Triplet], list[str]]:
@@ -77,11 +69,7 @@ def training_data(run: Run, name: str) -> tuple[list[Triplet], list[str]]:
 
 
 def start_weights(run: Run, variant: Variant, seed: int) -> Path | None:
-    """Weights of stage 1 that a variant starts from, None where it starts from nothing.
-
-    Raises:
-        InputError: they are not there.
-    """
+    """Weights of stage 1 that a variant starts from, None where it starts from nothing; InputError where they are not there."""
     if variant.starts_from is None:
         return None
     return run.require(run.weights(variant.starts_from, seed), f"03_train_lr, variant {variant.starts_from}, seed {seed},")
@@ -90,20 +78,14 @@ def start_weights(run: Run, variant: Variant, seed: int) -> Path | None:
 def make_stage(profile: Profile, name: str, start: Path | None = None) -> Stage:
     """The stage that a variant trains, with stage 1's LR-Net and PoseNet in it where it starts from them.
 
-    Args:
-        profile, name: the profile, and its variant.
-        start: weights of stage 1.
-
     Raises:
-        InputError: the weights are of another size or backbone, damaged, or not of stage 1.
+        InputError: the weights are damaged or of another network.
     """
-    variant, settings = profile.variant(name), profile.of_variant(name)
+    variant, training = profile.variant(name), profile.of_variant(name).training
     # a dual network's LR-Net has the weights of `start`: only a first training begins with ImageNet's
-    pretrained = settings.training.pretrained if variant.network in ("lr", "single") else False
-    depth_net = profile.architecture(name).build(pretrained)
-    stage = Stage(depth_net, PoseNet(), settings.training, low=variant.network == "lr")
+    depth_net = profile.architecture(name).build(training.pretrained if variant.network in ("lr", "single") else False)
+    stage = Stage(depth_net, PoseNet(), training, low=variant.network == "lr")
     if start:
-        check_start(start, settings, variant)
         load_weights(start, stage.pose_net, prefix="pose_net.")
         if variant.network == "dual":
             load_weights(start, stage.depth_net.lr_net, prefix="depth_net.")
@@ -114,33 +96,21 @@ def check_start(start: Path, profile: Profile, variant: Variant) -> None:
     """Make sure that weights of stage 1 are what a variant can start from.
 
     Raises:
-        InputError: their card is not of this project, or they are of another network, backbone or size.
+        InputError: their card is incomplete, or they are of another network, backbone or size.
     """
     card = load_card(start)
-    missing = {"variant", "seed", "steps", "sha256", "drives", "pretrained"} - set(card)
-    if missing and card.get("network") == "lr":
-        raise InputError(f"{start}: its card has no {sorted(missing)[0]}; train {variant.starts_from} again")
-    found = (card.get("network"), card.get("encoder"), card.get("hr_size"))
-    needed = ("lr", profile.training.encoder, list(profile.data.hr_size))
-    if found != needed:
-        differing = [f"{name} {f!r} instead of {n!r}" for name, f, n in zip(("network", "encoder", "hr_size"), found, needed) if f != n]
-        raise InputError(f"{start}: trained with {', '.join(differing)}; train {variant.starts_from} again with this profile")
-
-
-def _pretrained(variant: Variant, profile: Profile, before: dict[str, Any] | None) -> bool:
-    """Whether the encoder began with ImageNet's weights, here or in stage 1."""
-    if variant.network == "hr":
-        return False
-    return before["pretrained"] if before else bool(profile.training.pretrained)
+    needed = {"network": "lr", "encoder": profile.training.encoder, "hr_size": list(profile.data.hr_size)}
+    wrong = [f"{name} {card.get(name)!r} instead of {value!r}" for name, value in needed.items() if card.get(name) != value]
+    wrong += [f"no {name}" for name in ("variant", "seed", "steps", "sha256", "drives", "pretrained") if name not in card]
+    if wrong:
+        raise InputError(f"{start}: its card has {', '.join(wrong)}; train {variant.starts_from} again with this profile")
 
 
 def _mark(weights: Path) -> Path:
     """Write `trained.json`, which tells the chain that these weights are done; the weights themselves are never the chain's to delete."""
     marker = weights.with_name("trained.json")
-    if not is_main_process():
-        return weights
     digest = json.dumps({"weights_sha256": load_card(weights)["sha256"]}) + "\n"
-    if not marker.exists() or marker.read_text(encoding="utf-8") != digest:
+    if is_main_process() and not (marker.exists() and marker.read_text(encoding="utf-8") == digest):
         write_text(marker, digest)
     return weights
 
@@ -153,7 +123,8 @@ def _card(run: Run, name: str, triplets: int, drives: list[str], start: Path | N
         "about": f"{variant.about}, trained on {triplets} triplets: {run.profile.about}",
         **run.profile.architecture(name).model_dump(),
         "hr_size": list(profile.data.hr_size),
-        "pretrained": _pretrained(variant, profile, before),
+        # whether the encoder began with ImageNet's weights, here or in stage 1
+        "pretrained": variant.network != "hr" and (before["pretrained"] if before else bool(profile.training.pretrained)),
         "drives": sorted(set(drives) | set(before["drives"] if before else ())),
         "starts_from": {k: before[k] for k in ("variant", "seed", "steps", "sha256")} if before else None,
         "stamp": run.stamp([run.index(name), *([start] if start else [])]),

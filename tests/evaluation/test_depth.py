@@ -97,7 +97,7 @@ def test_an_image_without_ground_truth_is_skipped_and_counted():
         evaluate(np.ones((1, 5, 5)), [np.zeros((20, 20))])
 
 
-@pytest.mark.parametrize("bad, says", [(np.nan, "NaN or infinite"), (np.inf, "NaN or infinite"), (0.0, "down to 0"), (-2.0, "down to -2")])
+@pytest.mark.parametrize("bad, says", [(np.nan, "to nan"), (np.inf, "to inf"), (0.0, "from 0 to"), (-2.0, "from -2 to")])
 def test_a_prediction_that_cannot_be_scored_is_named(bad, says):
     predictions = np.ones((3, 5, 5), np.float32)
     predictions[1, 2, 2] = bad

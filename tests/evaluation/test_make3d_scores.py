@@ -86,15 +86,12 @@ def test_the_band_is_central_and_twice_as_wide_as_high(size, rows):
 
 def test_bad_input_is_one_clear_error():
     grid, depth = np.full(GRID, 10.0), np.ones((4, 6))
-    with pytest.raises(InputError, match=r"image 1: shapes \(4, 6\) and \(21, 305\)"):
-        evaluate_make3d([depth, depth], [grid, grid[17:38]], "band")
-    with pytest.raises(InputError, match=r"image 0: shapes \(4, 6, 1\)"):
-        evaluate_make3d([depth[..., None]], [grid], "band")
-    with pytest.raises(InputError, match="image 1: the depth"):
-        evaluate_make3d([depth, 0 * depth], [grid, grid], "band")
+    with pytest.raises(InputError, match="holds 2 predictions but there are 1 ground truths"):
+        evaluate_make3d([depth, depth], [grid], "band")
+    for wrong in (np.nan, np.inf, 0, -1):
+        with pytest.raises(InputError, match="image 1: the depth"):
+            evaluate_make3d([depth, np.full_like(depth, wrong)], [grid, grid], "band")
     with pytest.raises(InputError, match="none of the 1 ground truths has a cell between 0 and 70 m"):
         evaluate_make3d([depth], [np.full(GRID, 80.0)], "band")
-    with pytest.raises(InputError, match="convention 'middle' is unknown: choose one of band, whole"):
-        evaluate_make3d([depth], [grid], "middle")
     with pytest.raises(InputError, match="40x100 pixels has no central band"):
         visible(np.zeros((40, 100, 3)), "band")

@@ -70,7 +70,7 @@ def test_bad_input_is_one_clear_error():
     depth, labels = np.full((20, 40), 10.0), np.zeros((20, 40), np.uint8)
     with pytest.raises(InputError, match="png: the label map is of 20x39 pixels, the ground truth of 20x40"):
         evaluate_regions([depth] * 2, [depth] * 2, [labels, labels[:, 1:]])
-    with pytest.raises(InputError, match="image 1: the depth holds NaN"):
+    with pytest.raises(InputError, match="image 1: the depth goes from nan"):
         evaluate_regions([depth, depth * np.nan], [depth] * 2, [labels] * 2)
     with pytest.raises(InputError, match="none of the 1 ground truths has a pixel of a region"):
         evaluate_regions([depth], [depth], [labels + 2])

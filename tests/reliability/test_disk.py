@@ -9,12 +9,15 @@ from small_nets import equal
 from small_training import at_forward, kill_softly
 
 from dualdepth.errors import InputError
-from dualdepth.training.checkpoints import checkpoint_path
 
 pytestmark = pytest.mark.slow
 
 SMALL = 300_000
 """Bytes: more than a log or a picture, less than weights."""
+
+
+def checkpoint_path(folder, step):
+    return folder / f"checkpoint_{step:08d}.pt"
 
 
 @contextlib.contextmanager

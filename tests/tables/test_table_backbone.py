@@ -24,7 +24,7 @@ def latencies(monkeypatch):
 
     def latency(model, image, *, repeats, precision, **options):
         asked.append((image.shape[2:], sum(p.numel() for p in model.parameters()), repeats, precision))
-        return Latency(7.0 if precision == "float32" else 3.0, 100.0 if precision == "float32" else 60.0, "a device")
+        return Latency(7.0 if precision == "float32" else 3.0, 100.0 if precision == "float32" else 60.0)
 
     monkeypatch.setattr(backbone, "latency", latency)
     monkeypatch.setattr(backbone, "default_device", lambda: "meta")

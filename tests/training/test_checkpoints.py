@@ -10,9 +10,14 @@ from dualdepth.errors import InputError
 from dualdepth.training.checkpoints import checkpoint_paths, last_checkpoint, load_checkpoint, save_checkpoint
 
 
+def save(folder, step, net, optimizer, keep=2, **facts):
+    state = {"recipe": "abc", "parts": 1, "precision": "float32", "step": step} | facts
+    return save_checkpoint(folder, state | {"model": net.state_dict(), "optimizer": optimizer.state_dict()}, keep)
+
+
 def test_a_checkpoint_makes_the_round_trip(tmp_path):
     net, optimizer = trained_net()
-    path = save_checkpoint(tmp_path, 7, net, optimizer, recipe="abc", parts=2, precision="bf16")
+    path = save(tmp_path, 7, net, optimizer, parts=2, precision="bf16")
     state = load_checkpoint(path)
     assert [state[key] for key in ("recipe", "parts", "precision", "step")] == ["abc", 2, "bf16", 7]
     assert equal(state["model"], net.state_dict())
@@ -23,14 +28,14 @@ def test_a_checkpoint_makes_the_round_trip(tmp_path):
 
 def test_the_newest_are_kept(tmp_path):
     for step in (9, 10, 11, 100):
-        save_checkpoint(tmp_path, step, *trained_net(), recipe="abc", keep=3)
+        save(tmp_path, step, *trained_net(), keep=3)
     assert [path.name for path in checkpoint_paths(tmp_path)] == [f"checkpoint_{step:08d}.pt" for step in (100, 11, 10)]
     assert last_checkpoint(tmp_path)["step"] == 100
 
 
 @pytest.mark.parametrize("share", [0, 0.5, 0.999])
 def test_a_damaged_checkpoint_is_told_and_the_one_before_it_is_used(tmp_path, share):
-    paths = [save_checkpoint(tmp_path, step, *trained_net(), recipe="abc") for step in (7, 8)]
+    paths = [save(tmp_path, step, *trained_net()) for step in (7, 8)]
     paths[1].write_bytes(paths[1].read_bytes()[: int(share * paths[1].stat().st_size)])
     told = []
     assert last_checkpoint(tmp_path, told.append)["step"] == 7
@@ -42,7 +47,7 @@ def test_a_damaged_checkpoint_is_told_and_the_one_before_it_is_used(tmp_path, sh
 
 def test_one_changed_byte_of_a_tensor_is_noticed(tmp_path):
     net, optimizer = trained_net()
-    path = save_checkpoint(tmp_path, 7, net, optimizer, recipe="abc")
+    path = save(tmp_path, 7, net, optimizer)
     content = bytearray(path.read_bytes())
     place = content.find(next(net.parameters()).detach().numpy().tobytes())
     assert place > 0

@@ -256,9 +256,9 @@ SPOILT = {
     ),
     "no card": (lambda run: run.weights("lr", 0).with_suffix(".json").unlink(), f"{CARD}: .*; keep it beside the weights$"),
     "tampered": (tamper, f"{WEIGHTS}: sha256 .*; the file was changed, copy it again$"),
-    "another network": (lambda run: change_card(run, network="dual"), f"{WEIGHTS}: trained with network 'dual' .*; train lr again"),
-    "another version's card": (lambda run: change_card(run, **OF_BEFORE), f"{WEIGHTS}: trained with network .*; train lr again"),
-    "an incomplete card": (lambda run: change_card(run, "drives"), f"{WEIGHTS}: its card has no drives; train lr again$"),
+    "another network": (lambda run: change_card(run, network="dual"), f"{WEIGHTS}: its card has network 'dual' .*; train lr again"),
+    "another version's card": (lambda run: change_card(run, **OF_BEFORE), f"{WEIGHTS}: its card has network .*; train lr again"),
+    "an incomplete card": (lambda run: change_card(run, "drives"), f"{WEIGHTS}: its card has no drives; train lr again"),
     "a foreign card": (lambda run: run.weights("lr", 0).with_suffix(".json").write_text('{"license": "MIT"}'), f"{WEIGHTS}: .*; .+$"),
     "no triplets": (lambda run: run.index("lr").unlink(), r"^work/own/prepared/triplets\.csv is missing: run notebook 02_prepare_data"),
     "no sources": (lambda run: run.sources.unlink(), r"^work/own/sources\.json is missing: run notebook 01_download_data"),
@@ -288,7 +288,7 @@ def test_what_stage_2_needs_is_asked_for_in_one_line_that_names_it_and_the_mend(
 )
 def test_stage_1_of_another_backbone_or_size_is_refused(after_stage_1, backbones, name, change, said):
     run = after_stage_1(**{key: getattr(backbones, value) if key == "encoder" else value for key, value in change.items()})
-    said = rf"/runs/lr/seed0/model\.safetensors: trained with {said}; train lr again with this profile$"
+    said = rf"/runs/lr/seed0/model\.safetensors: its card has {said}; train lr again with this profile$"
     with pytest.raises(InputError, match=said) as error:
         train_variant(run, name, 0)
     assert "\n" not in str(error.value)
