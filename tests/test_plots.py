@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dualdepth.plots import point_errors
+from dualdepth.tables.plots import point_errors
 
 
 def test_a_point_shows_its_error_in_a_disc_around_it_and_nothing_beyond():

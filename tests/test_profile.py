@@ -94,7 +94,7 @@ def test_an_unknown_setting_names_the_nearest_one(written, text, unknown, neares
         (GOOD.replace("about: a test\n", ""), "about"),
         ("- a\n- b\n", "expected a mapping of settings, found list"),
         ("", "expected a mapping of settings, found NoneType"),
-        ("a: [1,\n", "not a YAML file"),
+        ("a: [1,\n", "give settings in YAML"),
     ],
 )
 def test_a_bad_profile_is_one_error_that_names_file_and_setting(written, text, named):
@@ -108,7 +108,7 @@ def test_a_bad_profile_is_one_error_that_names_file_and_setting(written, text, n
 def test_an_unknown_profile_names_those_there_are_and_a_file_that_is_not_there_is_named(tmp_path):
     with pytest.raises(InputError, match=r"profile 'papper' not found: choose one of miniature, own, paper, sample, .*tiny"):
         load_profile("papper")
-    with pytest.raises(InputError, match=r"profile .*gone\.yaml: there is no such file"):
+    with pytest.raises(InputError, match=r"profile .*gone\.yaml. not found"):
         load_profile(str(tmp_path / "gone.yaml"))
 
 

@@ -11,8 +11,8 @@ import pandas as pd
 import pytest
 
 from dualdepth.errors import InputError
+from dualdepth.notebooks import publish_notebooks, publish_results
 from dualdepth.profile import profile_file
-from dualdepth.publish import publish_notebooks, publish_results
 from dualdepth.run import Run
 
 KITTI = "about: x\ndata:\n  source: kitti\n  train_list: eigen_zhou\n"

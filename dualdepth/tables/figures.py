@@ -7,7 +7,7 @@ import numpy as np
 
 from dualdepth.evaluation.distance import FAR
 from dualdepth.evaluation.regions import POLE
-from dualdepth.plots import Picture, show_depth, show_error, show_image
+from dualdepth.tables.plots import Picture, depth_rows, grid_size, show_error, show_image
 
 
 class CloseUp(NamedTuple):
@@ -75,17 +75,6 @@ def pole_window(labels: np.ndarray) -> CloseUp | None:
     return around(row, column, labels.shape, 0.5)
 
 
-def depth_rows(images: Sequence[np.ndarray], depths: dict[str, Sequence[np.ndarray]], titles: Sequence[str], unit: str = "m") -> Picture:
-    """Frames in rows: image, then one depth map in metres, or in another `unit`, for each name in `depths`."""
-    figure = Picture(figsize=_size(images[0].shape, len(images), 1 + len(depths)), layout="constrained")
-    cells = figure.subplots(len(images), 1 + len(depths), squeeze=False)
-    for number, (row, image, title) in enumerate(zip(cells, images, titles)):
-        show_image(row[0], image, title)
-        for axes, (name, maps) in zip(row[1:], depths.items()):
-            show_depth(axes, maps[number], name, bar=axes is row[-1], unit=unit)
-    return figure
-
-
 def close_ups(
     images: Sequence[np.ndarray],
     depths: dict[str, Sequence[np.ndarray]],
@@ -102,15 +91,10 @@ def far_errors(
     images: Sequence[np.ndarray], errors: dict[str, Sequence[np.ndarray]], windows: Sequence[CloseUp], titles: Sequence[str]
 ) -> Picture:
     """Windows of frames in rows: image, then relative errors (NaN = unknown), which show where distant objects go wrong."""
-    figure = Picture(figsize=_size((windows[0].height, windows[0].width), len(images), 1 + len(errors)), layout="constrained")
+    figure = Picture(figsize=grid_size((windows[0].height, windows[0].width), len(images), 1 + len(errors)), layout="constrained")
     cells = figure.subplots(len(images), 1 + len(errors), squeeze=False)
     for number, (row, image, window, title) in enumerate(zip(cells, images, windows, titles)):
         show_image(row[0], window.of(image), title)
         for axes, (name, maps) in zip(row[1:], errors.items()):
             show_error(axes, window.of(maps[number]), name)
     return figure
-
-
-def _size(shape: Sequence[int], rows: int, columns: int) -> tuple[float, float]:
-    """Figure size in inches for a grid of pictures of `shape` = (H, W, …) with a line of text above each."""
-    return 13.0, rows * (12.4 / columns * shape[0] / shape[1] + 0.22) + 0.1

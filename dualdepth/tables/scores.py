@@ -21,8 +21,7 @@ from dualdepth.evaluation.leaks import check_leak
 from dualdepth.files import atomic_path, file_digest, write_json, write_text
 from dualdepth.inference.predict import DepthNet, load_depth_net, predict_disparities
 from dualdepth.networks.architecture import Architecture
-from dualdepth.run import Run, Sources
-from dualdepth.staleness import code_digest
+from dualdepth.run import Run, Sources, code_digest
 from dualdepth.training.weights import load_card
 
 NO_TRUTH = "an own camera has no ground truth"

@@ -9,7 +9,7 @@ from accelerate import Accelerator
 from accelerate.utils import gather_object
 from torch import Tensor
 
-from dualdepth.files import write_text
+from dualdepth.files import atomic_path, write_text
 from dualdepth.losses import Losses
 
 
@@ -45,13 +45,22 @@ class TrainingLog:
             step, losses: steps done, and the batch's losses.
             target, disparity: (3, H, W) in [0, 1], and (1, H, W).
         """
-        from dualdepth import plots
+        from matplotlib.figure import Figure
 
-        figure = plots.training_panel(
-            target.cpu().numpy(), losses.synthesized[0].cpu().numpy(), disparity[0].cpu().numpy(), losses.error[0, 0].cpu().numpy()
-        )
+        drawn = {
+            "target": (target.permute(1, 2, 0), {}),
+            "source, warped to the target": (losses.synthesized[0].permute(1, 2, 0).clip(0, 1), {}),
+            "disparity / its mean, 0 … 3": (disparity[0] / disparity[0].mean(), {"cmap": "magma", "vmin": 0, "vmax": 3}),
+            "photometric error, 0 … 0.5": (losses.error[0, 0], {"cmap": "viridis", "vmin": 0, "vmax": 0.5}),
+        }
+        figure = Figure(figsize=(10, 3.4), layout="constrained")
+        for axes, (title, (values, style)) in zip(figure.subplots(2, 2).flat, drawn.items()):
+            axes.imshow(values.cpu().numpy(), **style)
+            axes.set_title(title, fontsize=8, loc="left")
+            axes.set_axis_off()
         with self._warn_of_errors():
-            plots.save(figure, self.folder / "panels" / f"step_{step:07d}.png")
+            with atomic_path(self.folder / "panels" / f"step_{step:07d}.png") as partial:
+                figure.savefig(partial, dpi=100)
             self.writer.add_figure("panel", figure, step)
 
     def last(self) -> dict[str, float]:
