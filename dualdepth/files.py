@@ -6,6 +6,7 @@ import json
 import os
 import re
 import socket
+import tempfile
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
@@ -50,11 +51,9 @@ def check_writable(folder: str | Path) -> None:
     Raises:
         InputError: they cannot, and why.
     """
-    probe = Path(folder) / "writable"
     try:
-        with atomic_path(probe) as partial:
-            partial.touch()
-        probe.unlink(missing_ok=True)
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
     except OSError as error:
         raise InputError(f"{folder}: nothing can be written there ({error.strerror or error}); free space or change its owner") from None
 

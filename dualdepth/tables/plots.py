@@ -131,12 +131,10 @@ def image_spread(scores: dict[str, pd.DataFrame]) -> Picture:
     """Histograms over images: Abs Rel, and the median-scaling ratio by its median; one colour per method."""
     figure = Picture(figsize=(10, 2.6), layout="constrained")
     left, right = figure.subplots(1, 2)
-    for name, frame in scores.items():
-        left.hist(frame["abs_rel"], bins=30, alpha=0.6, label=name)
-        right.hist(frame["scale_ratio"] / frame["scale_ratio"].median(), bins=30, alpha=0.6)
-    left.set(title="Abs Rel of an image", ylabel="images")
-    right.set(title="median-scaling ratio / its median")
-    left.legend(fontsize=7)
+    errors = pd.DataFrame({name: frame["abs_rel"] for name, frame in scores.items()})
+    ratios = pd.DataFrame({name: frame["scale_ratio"] / frame["scale_ratio"].median() for name, frame in scores.items()})
+    errors.plot.hist(ax=left, bins=30, alpha=0.6, title="Abs Rel of an image", ylabel="images")
+    ratios.plot.hist(ax=right, bins=30, alpha=0.6, title="median-scaling ratio / its median", ylabel="", legend=False)
     return figure
 
 
@@ -147,8 +145,8 @@ def learning_curve(log: pd.DataFrame) -> Picture:
     figure = Picture(figsize=(12, 2.8), layout="constrained")
     values = log.set_index("step")[columns]
     axes = figure.subplots(1, len(columns))
-    values.plot(ax=axes, subplots=True, title=titles, legend=False, grid=True, color="C0", lw=0.5, alpha=0.4)
-    values.rolling(max(len(log) // 15, 1), min_periods=1).mean().plot(ax=axes, subplots=True, legend=False, color="C0")
+    values.plot(ax=axes, subplots=True, title=titles, legend=False, color="C0", lw=0.5, alpha=0.4)
+    values.rolling(max(len(log) // 15, 1), min_periods=1).mean().plot(ax=axes, subplots=True, legend=False, grid=True, color="C0")
     return figure
 
 
@@ -156,15 +154,11 @@ def cost_bars(costs: pd.DataFrame) -> Picture:
     """Operations, and time in both precisions, of networks by name (index): columns gmacs, latency_ms, latency_ms_bf16, device."""
     figure = Picture(figsize=(12, 0.4 * len(costs) + 1), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
-    places = np.arange(len(costs))[::-1]
-    left.barh(places, costs["gmacs"], color="0.6")
-    left.set_yticks(places, costs.index, fontsize=8)
-    left.set_title("10⁹ multiply-accumulates", fontsize=9, loc="left")
-    right.barh(places + 0.2, costs["latency_ms"], 0.4, label="float32")
-    if costs["latency_ms_bf16"].notna().any():
-        right.barh(places - 0.2, costs["latency_ms_bf16"], 0.4, label="bf16")
-    right.set_title(f"milliseconds an image on {costs['device'].iloc[0]}", fontsize=9, loc="left")
-    right.legend(fontsize=7)
+    costs["gmacs"].plot.barh(ax=left, color="0.6", title="10⁹ multiply-accumulates", ylabel="")
+    times = costs[["latency_ms", "latency_ms_bf16"]].dropna(axis="columns", how="all")
+    times.plot.barh(ax=right, title=f"milliseconds an image on {costs['device'].iloc[0]}", ylabel="")
+    right.legend(["float32", "bf16"], fontsize=7)
+    left.invert_yaxis()
     return figure
 
 
