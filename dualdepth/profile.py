@@ -144,19 +144,6 @@ def standard_variants() -> dict[str, Variant]:
     return {name: Variant.model_validate(value) for name, value in values.items()}
 
 
-def profile_file(name: str) -> Path:
-    """Path of a profile: one of the package's by name, or a YAML file of the user's own.
-
-    Raises:
-        InputError: there is no such profile.
-    """
-    path = Path(name) if name.endswith((".yaml", ".yml")) else PROFILES / f"{name}.yaml"
-    if not path.is_file():
-        known = ", ".join(sorted(p.stem for p in PROFILES.glob("*.yaml")))
-        raise InputError(f"profile {name!r} not found: choose one of {known} or give the path of a .yaml file that is there")
-    return path
-
-
 def load_profile(name: str) -> Profile:
     """Read and validate a profile.
 
@@ -166,7 +153,10 @@ def load_profile(name: str) -> Profile:
     Raises:
         InputError: no such profile, no valid YAML, or a bad key or value; the message names the file and the nearest known key.
     """
-    path = profile_file(name)
+    path = Path(name) if name.endswith((".yaml", ".yml")) else PROFILES / f"{name}.yaml"
+    if not path.is_file():
+        known = ", ".join(sorted(p.stem for p in PROFILES.glob("*.yaml")))
+        raise InputError(f"profile {name!r} not found: choose one of {known} or give the path of a .yaml file that is there")
     if not re.fullmatch(r"[\w.-]+", path.stem):
         raise InputError(f"profile {name}: folders and commands are named by it; give the file a name of letters, digits, . _ and -")
     with reading(path, "give settings in YAML"):
