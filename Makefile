@@ -78,10 +78,10 @@ lock: ## make environment.lock from pyproject.toml
 	rm -rf work/lock build
 
 notebooks: env ## store the executed tiny notebooks as the committed ones
-	python -m dualdepth.publish notebooks
+	python -m dualdepth.notebooks notebooks
 
 publish: env ## copy a profile's tables and figures to results/published
-	python -m dualdepth.publish results --profile "$(PROFILE)"
+	python -m dualdepth.notebooks results --profile "$(PROFILE)"
 
 clean: ## remove what a profile's runs made; downloads and .venv stay
 	rm -rf "work/$(PROFILE)" "results/$(PROFILE)"

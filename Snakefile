@@ -3,8 +3,7 @@
 from pathlib import Path
 
 from dualdepth.files import file_digest, folder_digest
-from dualdepth.run import RECORD, ROOTS, Run
-from dualdepth.staleness import PACKAGE, inputs
+from dualdepth.run import PACKAGE, RECORD, ROOTS, Run
 
 PROFILE = config.get("profile", "miniature")
 run_ = Run(PROFILE)
@@ -34,11 +33,6 @@ OWN = {} if run_.profile.data.has_truth else {RECORD: file_digest(Path(GIVEN["ki
 
 
 DRAWING = {"overview.svg": file_digest(run_.root / "docs/overview.svg")}
-
-
-def made_from(notebook, step, **kinds):
-    """What shapes a step's result, for its params."""
-    return inputs(notebook, step, run_.root, **kinds)
 
 
 def trained(variants):
@@ -74,7 +68,7 @@ rule quickstart:
     output:
         f"{RESULTS}/notebooks/00_quickstart.ipynb",
     params:
-        *made_from("00_quickstart", "quickstart", files=DRAWING),
+        *run_.made_from("00_quickstart", "quickstart", files=DRAWING),
         seed=SEEDS[0],
     shell:
         "dualdepth notebook 00_quickstart --out {output} --set profile={PROFILE:q} seed={params.seed}"
@@ -85,7 +79,7 @@ rule download_data:
         notebook=f"{RESULTS}/notebooks/01_download_data.ipynb",
         sources=f"{WORK}/sources.json",
     params:
-        *made_from("01_download_data", "data", setting=run_.profile.values("world", "data"), given=GIVEN, files=OWN),
+        *run_.made_from("01_download_data", "data", setting=run_.profile.values("world", "data"), given=GIVEN, files=OWN),
     threads: workflow.cores
     shell:
         "dualdepth notebook 01_download_data --out {output.notebook} --set profile={PROFILE:q}"
@@ -104,7 +98,7 @@ rule prepare_data:
         truth=f"{WORK}/prepared/ground_truth.npz",
         odometry=[f"{WORK}/prepared/odometry.csv"] if set(ODOMETRY) <= set(TRAINED) and ODOMETRY else [],
     params:
-        *made_from("02_prepare_data", "data", setting=run_.profile.values("data") | {"odometry": ODOMETRY != []}),
+        *run_.made_from("02_prepare_data", "data", setting=run_.profile.values("data") | {"odometry": ODOMETRY != []}),
     shell:
         "dualdepth notebook 02_prepare_data --out {output.notebook} --set profile={PROFILE:q}"
 
@@ -122,7 +116,7 @@ for variant in TRAINED:
             notebook=f"{RESULTS}/notebooks/{NOTEBOOKS[STAGE[variant]]}_{variant}_seed{{seed}}.ipynb",
             trained=f"{WORK}/runs/{variant}/seed{{seed}}/trained.json",
         params:
-            *made_from(NOTEBOOKS[STAGE[variant]], "training_page", setting=run_.settings(variant)),
+            *run_.made_from(NOTEBOOKS[STAGE[variant]], "training_page", setting=run_.settings(variant)),
             page=NOTEBOOKS[STAGE[variant]],
             variant=variant,
         # trainings side by side do more in the same time than one after the other on all cores
@@ -159,7 +153,7 @@ for page, (table, names) in PAGES.items():
             notebook=f"{RESULTS}/notebooks/{page}.ipynb",
             table=[f"{RESULTS}/tables/{table}.csv", f"{RESULTS}/tables/{table}.json"] if table else [],
         params:
-            *made_from(page, "tables", files=FILES.get(table, DRAWING), **SHARED),
+            *run_.made_from(page, "tables", files=FILES.get(table, DRAWING), **SHARED),
             page=page,
             seeds=",".join(map(str, SEEDS)),
         threads: workflow.cores if table == "backbone" else max(1, workflow.cores // 2)  # the one measures time
@@ -177,7 +171,7 @@ rule report:
         notebook=f"{RESULTS}/notebooks/14_report.ipynb",
         page=f"{RESULTS}/report.html",
     params:
-        *made_from(
+        *run_.made_from(
             "14_report",
             "report",
             **SHARED | {"setting": SHARED["setting"] | run_.profile.values("verdicts", "training.loss")},

@@ -125,14 +125,14 @@ def bench(encoder: str, repeats: int) -> pd.DataFrame:
 
 def high_resolution_steps(training: Training, batch: dict[str, Any], device: torch.device, repeats: int) -> list[tuple[str, float, str]]:
     """Stage 2's step against that of a ResNet18 network with the same decoder at the same resolution."""
-    rows, steps = [], {}
-    for name in ("dual", "resnet18"):
-        with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:  # of its own, as is its peak of memory
-            steps[name] = pool.submit(median_step, name, training, batch, device, repeats).result()
-        rows.append((f"stage 2 step, {name} 384x1248, batch 4, {training.precision}", steps[name]["step"], "s"))
-        rows.append(("  peak memory", steps[name]["peak_mb"], "MB"))
-    rows += [(f"  dual / resnet18, {part}", steps["dual"][part] / steps["resnet18"][part], "ratio") for part in ("step", "peak_mb")]
-    return rows
+    rows, names = [], ("dual", "resnet18")
+    # a process for each, since its peak of memory is measured
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"), max_tasks_per_child=1) as pool:
+        steps = {name: pool.submit(median_step, name, training, batch, device, repeats).result() for name in names}
+    for name, step in steps.items():
+        rows.append((f"stage 2 step, {name} 384x1248, batch 4, {training.precision}", step["step"], "s"))
+        rows.append(("  peak memory", step["peak_mb"], "MB"))
+    return rows + [(f"  dual / resnet18, {part}", steps["dual"][part] / steps["resnet18"][part], "ratio") for part in ("step", "peak_mb")]
 
 
 def inference(device: torch.device, repeats: int, precisions: Sequence[Precision]) -> list[tuple[str, float, str]]:

@@ -3,6 +3,7 @@
 torch is loaded by the functions that need it, since commands that only read files start without it.
 """
 
+import contextlib
 import ctypes
 import os
 import sys
@@ -16,10 +17,6 @@ if TYPE_CHECKING:
     import torch
 
 Precision = Literal["float32", "bf16"]
-M_TRIM_THRESHOLD, M_TOP_PAD, M_MMAP_MAX = -1, -2, -4
-"""Names and numbers of glibc's `malloc.h`."""
-PAD = 1 << 26
-"""Bytes that the heap grows by at least."""
 
 
 def process_count() -> int:
@@ -34,9 +31,7 @@ def is_main_process() -> bool:
 
 def several_on_cpu() -> bool:
     """Whether several processes work on a CPU: accelerate must be told, else each would work by itself."""
-    import torch
-
-    return process_count() > 1 and not torch.cuda.is_available()
+    return process_count() > 1 and default_device().type == "cpu"
 
 
 def wait_for_everyone() -> None:
@@ -65,14 +60,9 @@ def choose_device(name: "str | torch.device | None") -> "torch.device":
     there = ["cpu", *(f"cuda:{i}" for i in range(torch.cuda.device_count())), *["mps"] * torch.backends.mps.is_available()]
     if name is None:
         return torch.device("cuda" if "cuda:0" in there else there[-1])
-    try:
-        chosen = torch.device(name)
-    except RuntimeError:
-        chosen = None
-    indexed = f"cuda:{chosen.index or 0}" if chosen and chosen.type == "cuda" else str(chosen)
-    if indexed not in there:
+    if ("cuda:0" if str(name) == "cuda" else str(name)) not in there:
         raise InputError(f"device {str(name)!r} is not to be had; here there are {', '.join(there)}")
-    return chosen
+    return torch.device(name)
 
 
 def device_name() -> str:
@@ -91,10 +81,7 @@ def has_bf16(device: "torch.device") -> bool:
 
     if device.type == "cuda":
         return torch.cuda.is_bf16_supported(including_emulation=False)
-    if device.type == "cpu":
-        can = torch.cpu.get_capabilities()
-        return any(can.get(name, False) for name in ("avx512_bf16", "amx_bf16"))
-    return False
+    return device.type == "cpu" and any(torch.cpu.get_capabilities().get(name) for name in ("avx512_bf16", "amx_bf16"))
 
 
 def choose_precision(
@@ -127,17 +114,14 @@ def inference_precision(precision: str | None, device: "torch.device") -> Precis
     return precision
 
 
-def keep_freed_memory() -> bool:
-    """Keep freed memory in this process, for tensors on the CPU.
+def keep_freed_memory() -> None:
+    """Keep freed memory in this process, for tensors on the CPU, where the allocator is glibc's.
 
     glibc gives every large tensor back to the system when it is freed, and the next one of that size is paged in and zeroed anew: a third
     of a training step at high resolution, for some more memory in use. Numbers do not change.
-
-    Returns:
-        Whether the allocator is glibc's and took it.
     """
-    try:
+    with contextlib.suppress(OSError, AttributeError):  # another system's library
         mallopt = ctypes.CDLL("libc.so.6").mallopt
-    except (OSError, AttributeError):
-        return False
-    return all([mallopt(M_MMAP_MAX, 0), mallopt(M_TRIM_THRESHOLD, -1), mallopt(M_TOP_PAD, PAD)])
+        mallopt(-4, 0)  # M_MMAP_MAX: no tensor gets a mapping of its own
+        mallopt(-1, -1)  # M_TRIM_THRESHOLD: nothing is given back
+        mallopt(-2, 1 << 26)  # M_TOP_PAD: bytes that the heap grows by at least

@@ -6,6 +6,7 @@ import json
 import os
 import re
 import socket
+import tempfile
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
@@ -29,18 +30,8 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         with open(partial, "rb+") as file:
             os.fsync(file.fileno())
         os.replace(partial, path)
-        _flush_folder(path.parent)
     finally:
         partial.unlink(missing_ok=True)
-
-
-def _flush_folder(folder: Path) -> None:
-    """Make a rename in the folder outlive a power cut."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 _PARTIAL = re.compile(r"\..+\.[0-9a-f]{8}\.part(\.\w+)?")
@@ -60,11 +51,9 @@ def check_writable(folder: str | Path) -> None:
     Raises:
         InputError: they cannot, and why.
     """
-    probe = Path(folder) / "writable"
     try:
-        with atomic_path(probe) as partial:
-            partial.touch()
-        probe.unlink(missing_ok=True)
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
     except OSError as error:
         raise InputError(f"{folder}: nothing can be written there ({error.strerror or error}); free space or change its owner") from None
 
@@ -118,15 +107,10 @@ def locked(path: str | Path, patience: float = 0.0, *, inherited: bool = False) 
         os.pwrite(descriptor, f"process {os.getpid()} on {socket.gethostname()}".encode(), 0)
         os.set_inheritable(descriptor, inherited)
 
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(path, timeout=patience, on_acquired=write_owner)
     try:
-        lock.acquire()
+        held = FileLock(path, timeout=patience, on_acquired=write_owner).acquire()
     except Timeout:
-        holder = path.read_text(encoding="utf-8").strip() or "another run"
+        holder = Path(path).read_text(encoding="utf-8").strip() or "another run"
         raise InputError(f"{path}: held by {holder}; wait for it or stop it") from None
-    try:
+    with held:
         yield
-    finally:
-        lock.release()

@@ -5,7 +5,6 @@ An unknown key is an error that names the nearest known one. The sections stand 
 
 import difflib
 import functools
-import hashlib
 import json
 import re
 from pathlib import Path
@@ -14,7 +13,8 @@ from typing import Annotated, Any, Literal
 import yaml
 from pydantic import BaseModel, Field, ValidationError, model_validator
 
-from dualdepth.errors import InputError
+from dualdepth.errors import InputError, reading
+from dualdepth.files import short_digest
 from dualdepth.networks.architecture import Architecture, Design
 from dualdepth.settings import Data, Evaluation, Settings, Training, Variant, World
 
@@ -76,10 +76,9 @@ class Profile(Settings):
     def architecture(self, name: str) -> Architecture:
         """The depth network that a variant trains."""
         variant = self.variant(name)
-        words = {field: getattr(variant, field) for field in Design.model_fields}
         training = self.of_variant(name).training
         residual = variant.network == "dual" and training.beyond_paper_residual
-        return Architecture(encoder=training.encoder, residual=residual, **words)
+        return Architecture(encoder=training.encoder, residual=residual, **variant.model_dump(include={*Design.model_fields}))
 
     def trained_on(self, what: str) -> list[str]:
         """The variants to train on frames of the depth tables (`depth`) or of the odometry table (`odometry`)."""
@@ -119,7 +118,7 @@ class Profile(Settings):
         try:
             profile = type(self).model_validate(values | {"train": {"lr": None}})
         except ValidationError as error:
-            raise InputError(f"variant {name}: {'; '.join(_explain(e) for e in error.errors())}") from None
+            raise InputError(f"variant {name}: {_explain(error)}") from None
         if self.variant(name).stage == "hr" and not profile.training.augmentation.augment_first:
             raise InputError(f"variant {name}: training.augmentation.augment_first must be true at high resolution")
         return profile
@@ -130,17 +129,12 @@ class Profile(Settings):
 
     def values(self, *sections: str) -> dict[str, Any]:
         """The named sections (dots go deeper) as plain values, for what to run again."""
-        values: dict[str, Any] = {}
-        for section in sections:
-            value: Any = self
-            for part in section.split("."):
-                value = getattr(value, part)
-            values[section] = value.model_dump(mode="json") if isinstance(value, BaseModel) else value
-        return values
+        found = {section: functools.reduce(getattr, section.split("."), self) for section in sections}
+        return {section: value.model_dump(mode="json") if isinstance(value, BaseModel) else value for section, value in found.items()}
 
     def digest(self, *sections: str) -> str:
         """Short content hash of them, for stamps."""
-        return hashlib.sha256(json.dumps(self.values(*sections), sort_keys=True).encode()).hexdigest()[:16]
+        return short_digest(json.dumps(self.values(*sections), sort_keys=True))
 
 
 @functools.cache
@@ -148,21 +142,6 @@ def standard_variants() -> dict[str, Variant]:
     """The variants of `dualdepth/variants.yaml`, in its order."""
     values = yaml.safe_load((PROFILES.parent / "variants.yaml").read_text(encoding="utf-8"))
     return {name: Variant.model_validate(value) for name, value in values.items()}
-
-
-def profile_file(name: str) -> Path:
-    """Path of a profile: one of the package's by name, or a YAML file of the user's own.
-
-    Raises:
-        InputError: there is no such profile.
-    """
-    path = Path(name) if name.endswith((".yaml", ".yml")) else PROFILES / f"{name}.yaml"
-    if not path.is_file():
-        known = sorted(p.stem for p in PROFILES.glob("*.yaml"))
-        if name.endswith((".yaml", ".yml")):
-            raise InputError(f"profile {name}: there is no such file")
-        raise InputError(f"profile {name!r} not found: choose one of {', '.join(known)} or give the path of a .yaml file")
-    return path
 
 
 def load_profile(name: str) -> Profile:
@@ -174,24 +153,27 @@ def load_profile(name: str) -> Profile:
     Raises:
         InputError: no such profile, no valid YAML, or a bad key or value; the message names the file and the nearest known key.
     """
-    path = profile_file(name)
+    path = Path(name) if name.endswith((".yaml", ".yml")) else PROFILES / f"{name}.yaml"
+    if not path.is_file():
+        known = ", ".join(sorted(p.stem for p in PROFILES.glob("*.yaml")))
+        raise InputError(f"profile {name!r} not found: choose one of {known} or give the path of a .yaml file that is there")
     if not re.fullmatch(r"[\w.-]+", path.stem):
         raise InputError(f"profile {name}: folders and commands are named by it; give the file a name of letters, digits, . _ and -")
-    try:
+    with reading(path, "give settings in YAML"):
         values = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: not UTF-8, or an impossible date
-        raise InputError(f"{path}: not a YAML file: {error}") from None
     if not isinstance(values, dict):
         raise InputError(f"{path}: expected a mapping of settings, found {type(values).__name__}")
     try:
         return Profile.model_validate({str(key): value for key, value in values.items()} | {"name": path.stem})
-    except ValidationError as error:
-        raise InputError(f"{path}: {'; '.join(_explain(e) for e in error.errors())}") from None
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+    except (ValidationError, InputError) as error:
+        raise InputError(f"{path}: {_explain(error) if isinstance(error, ValidationError) else error}") from None
 
 
-def _explain(error: Any) -> str:
+def _explain(error: ValidationError) -> str:
+    return "; ".join(_mistake(each) for each in error.errors())
+
+
+def _mistake(error: Any) -> str:
     """One validation error as a phrase: where, what, and for an unknown key the nearest known one."""
     where = ".".join(str(part) for part in error["loc"]) or "profile"
     if error["type"] != "extra_forbidden":

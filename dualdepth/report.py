@@ -12,9 +12,8 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from dualdepth import paper
 from dualdepth.files import write_text
-from dualdepth.run import Run
+from dualdepth.run import PACKAGE, Run
 from dualdepth.settings import Loss
-from dualdepth.staleness import PACKAGE
 from dualdepth.tables.claims import NOT_RUN, RULES, compare_numbers, judge_claims
 from dualdepth.tables.rows import readable
 

@@ -1,27 +1,33 @@
-"""Where a run's files lie, what it was given, and the stamps that say what made its results."""
+"""Where a run's files lie, what it was given, the stamps that say what made its results, and what makes a step of the chain stale.
+
+Snakemake notes what a step is made from beside its input files (`Run.made_from`) with the step's outputs, makes the step anew when one of
+these differs, and names it in a dry run (`make status`).
+"""
 
 import argparse
+import ast
 import datetime
 import functools
 import hashlib
 import json
 import platform
+import re
 import subprocess
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 
 from dualdepth import __version__
-from dualdepth.errors import InputError, first_mistake
-from dualdepth.files import file_digest, short_digest, write_json, write_text
+from dualdepth.errors import InputError, reading
+from dualdepth.files import atomic_path, file_digest, short_digest, write_json, write_text
 from dualdepth.profile import Profile, load_profile
-from dualdepth.staleness import code_digest
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
 
 RECORD = "own.json"
 """What data_scripts/own_camera.py writes beside a data set of an own camera: what it was made from."""
@@ -66,13 +72,9 @@ def parse_seeds(text: str) -> list[int]:
     Raises:
         InputError: something else than whole numbers from 0 up between commas.
     """
-    try:
-        seeds = [int(part) for part in text.split(",")] if text else []
-    except ValueError:
-        seeds = [-1]
-    if any(seed < 0 for seed in seeds):
+    if text and not re.fullmatch(r"\s*[0-9]{1,18}\s*(,\s*[0-9]{1,18}\s*)*", text):
         raise InputError(f"seeds {text!r}: give whole numbers from 0 up between commas, such as 0,1,2")
-    return seeds
+    return [int(part) for part in text.split(",") if text]
 
 
 def project_root() -> Path:
@@ -103,17 +105,11 @@ class Run:
         self.root = root or project_root()
         self.work = self.root / "work" / self.profile.name
         self.results = self.root / "results" / self.profile.name
-        self.began = time.perf_counter()
-
-    @property
-    def sources(self) -> Path:
+        self.sources = self.work / "sources.json"
         """What notebook 01 found: roots and lists."""
-        return self.work / "sources.json"
-
-    @property
-    def prepared(self) -> Path:
+        self.prepared = self.work / "prepared"
         """Folder of the prepared index and ground truth (notebook 02)."""
-        return self.work / "prepared"
+        self.began = time.perf_counter()
 
     def training(self, variant: str, seed: int) -> Path:
         """Folder of one training."""
@@ -163,11 +159,11 @@ class Run:
         write_json(path.with_suffix(".json"), self.stamp(inputs) | facts)
         return path
 
-    def save_figure(self, figure: Any, name: str, inputs: Iterable[Path], **facts: Any) -> Path:
+    def save_figure(self, figure: "Figure", name: str, inputs: Iterable[Path], **facts: Any) -> Path:
         """Write `results/<profile>/figures/<name>.png` and its stamp."""
-        from dualdepth import plots
-
-        path = plots.save(figure, self.results / "figures" / f"{name}.png")
+        path = self.results / "figures" / f"{name}.png"
+        with atomic_path(path) as partial:
+            figure.savefig(partial, dpi=100)
         write_json(path.with_suffix(".json"), self.stamp(inputs) | facts)
         return path
 
@@ -175,13 +171,16 @@ class Run:
         """Provenance: revision, hashes of lock, profile and inputs, versions, machine, time; seconds are since this run was opened."""
         from dualdepth.device import device_name
 
+        def git(*words: str) -> str:
+            return subprocess.run(["git", "-C", str(self.root), *words], capture_output=True, text=True, check=False).stdout.strip()
+
         return {
             "seconds": round(time.perf_counter() - self.began, 1),
             "device": device_name(),
             "made": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
             "version": __version__,
-            "revision": self._revision[0],
-            "dirty": self._revision[1],
+            "revision": git("rev-parse", "HEAD") or "unknown",
+            "dirty": bool(git("status", "--porcelain")),
             "profile": self.profile.name,
             "profile_sha256": hashlib.sha256(self.profile.model_dump_json().encode()).hexdigest(),
             "lock_sha256": file_digest(self.root / "environment.lock"),
@@ -191,17 +190,21 @@ class Run:
             "machine": f"{platform.system()} {platform.machine()}",
         }
 
+    def made_from(self, notebook: str, step: str, **kinds: Mapping[str, Any]) -> list[tuple[str, Any]]:
+        """All that shapes a step's result beside its input files, as (name, value), such as `("code losses", digest)`.
+
+        Args:
+            notebook, step: the step's notebook, and a key of `CODE`.
+            kinds: more, such as `setting={"evaluation": {"crop": "eigen"}}`, which gives `("setting evaluation.crop", "eigen")`.
+        """
+        cells = {notebook: notebook_digest(self.root / "notebooks" / f"{notebook}.ipynb")}
+        named = {"notebook": cells, "code": {part: _digest(part) for part in CODE[step]}, **kinds}
+        return [(f"{kind} {name}", value) for kind, values in named.items() for name, value in _leaves(values)]
+
     @property
     def allow_leak(self) -> bool:
         """Whether this run may score what was trained on; its results then say so."""
         return self.sources.exists() and Sources.load(self).allow_leak
-
-    @functools.cached_property
-    def _revision(self) -> tuple[str, bool]:
-        def git(*words: str) -> str:
-            return subprocess.run(["git", "-C", str(self.root), *words], capture_output=True, text=True, check=False).stdout.strip()
-
-        return git("rev-parse", "HEAD") or "unknown", bool(git("status", "--porcelain"))
 
 
 class Sources(NamedTuple):
@@ -235,10 +238,63 @@ class Sources(NamedTuple):
             InputError: it is not there, or is something else.
         """
         path = run.require(run.sources, "01_download_data")
-        try:
-            return _SAVED_SOURCES.validate_json(path.read_bytes())
-        except ValidationError as error:
-            raise InputError(f"{path}: {first_mistake(error)}; run notebook 01_download_data again") from None
+        with reading(path, "run notebook 01_download_data again"):
+            return TypeAdapter(cls).validate_json(path.read_bytes())
 
 
-_SAVED_SOURCES = TypeAdapter(Sources)
+PACKAGE = Path(__file__).parent
+NETWORKS = ("networks", "geometry", "training", "data", "device")
+SCORES = (*NETWORKS, "model", "evaluation", "tables")
+CODE = {
+    "data": ("data_scripts", "data", "geometry", "tables/plots"),
+    "training": (*NETWORKS, "losses"),
+    "training_page": (*NETWORKS, "losses", "tables/plots"),
+    "predict": SCORES,
+    "tables": (*SCORES, "paper"),
+    "report": (*SCORES, "paper", "report"),
+    "quickstart": (*SCORES, "paper", "data_scripts"),
+}
+"""Folders and modules of `dualdepth`, and the folder `data_scripts`, whose code shapes a result; a change in one makes it stale.
+
+`training` is what a training's weights are of, `predict` the scores kept beside them; the others are of steps of the chain.
+"""
+EXEMPT = {
+    "dualdepth": "names and version",
+    "errors": "words of messages",
+    "files": "how bytes reach the disk, not which",
+    "settings": "their values are compared one by one",
+    "profile": "its values are compared one by one",
+    "run": "where files lie, stamps, and these lists",
+}
+"""Modules that no step lists though its notebook imports them, and why a change in them makes nothing stale."""
+
+
+def code_digest(step: str) -> str:
+    """Digest of the code that shapes a step's result, blind to comments, docstrings and layout."""
+    return short_digest(*map(_digest, CODE[step]))
+
+
+@functools.cache
+def _digest(part: str) -> str:
+    """Digest of a folder's or a module's syntax trees without the strings that stand alone."""
+    path = (PACKAGE.parent if part == "data_scripts" else PACKAGE) / part
+    files = sorted(path.rglob("*.py")) if path.is_dir() else [path.with_suffix(".py")]
+    trees = [ast.parse(file.read_text(encoding="utf-8")) for file in files]
+    for node in (node for tree in trees for node in ast.walk(tree)):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
+            node.body = [s for s in node.body if not (isinstance(s, ast.Expr) and isinstance(s.value, ast.Constant))]
+    return short_digest(*map(ast.dump, trees))
+
+
+def notebook_digest(path: Path) -> str:
+    """Digest of a notebook's code, blind to its prose and outputs."""
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    return short_digest(json.dumps(["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]))
+
+
+def _leaves(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in values.items():
+        if isinstance(value, Mapping) and value:
+            yield from _leaves(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value

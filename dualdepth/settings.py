@@ -100,9 +100,7 @@ class Data(Settings):
     @model_validator(mode="after")
     def _sizes(self) -> "Data":
         if any(side % 96 or side < 192 for side in self.hr_size):
-            raise ValueError(
-                f"hr_size {self.hr_size}: both sides must be multiples of 96, at least 192 (a third, divided by 32, is reflected)"
-            )
+            raise ValueError(f"hr_size {self.hr_size}: both sides must be multiples of 96, at least 192 (1/96 of them is reflected)")
         if self.source == "kitti" and bool(self.train_list) == bool(self.train_drives):
             raise ValueError("give either train_list or train_drives")
         if self.source == "own" and (self.train_list or self.train_drives or self.test_list):
@@ -134,15 +132,14 @@ class Augmentation(Settings):
 class Loss(Settings):
     """Weights of the paper's total loss; it gives none of them.
 
-    Ours lie between the lineage's ends (GeoNet and monodepth2). λ2 was chosen on the synthetic world, with streets that are scored nowhere;
-    the others are the first that learned on KITTI's drive 0095 in a trial of some hundred steps.
+    Ours lie between the lineage's ends (GeoNet and monodepth2). λ2 was the best for LR-Net, by Abs Rel and δ<1.25, of 0.01, 0.03 and 0.1
+    on synthetic streets that are scored nowhere; the others are the first that learned in a short trial on KITTI's drive 0095.
     """
 
     photometric: float = 1.0
     """λ1."""
     smoothness: float = 0.03
-    """λ2, halved at each coarser scale; acts on mean-normalised inverse depth. GeoNet has 0.5, monodepth2 0.001; of 0.01, 0.03 and 0.1 the
-    best for LR-Net by Abs Rel and δ<1.25 in the synthetic world."""
+    """λ2, halved at each coarser scale; acts on mean-normalised inverse depth. GeoNet has 0.5, monodepth2 0.001."""
     feature: float = 0.01
     """λ3; small, since learned features can shrink to please it; 0 switches the loss off (the paper argues for it)."""
     alpha: float = 0.85
@@ -177,8 +174,7 @@ class Training(Settings):
     encoder: str = "resnet50"
     """LR-Net's encoder: resnet50, resnet18, mobilenet_v2, efficientnet_lite0, or a hierarchical AutoBackbone's name or folder."""
     pretrained: bool | str = True
-    """ImageNet weights for the encoder (paper), from the hub or its cache, for efficientnet_lite0 from a package; a local folder to take
-    them from; false needs no network."""
+    """ImageNet weights (paper) from the hub, its cache, or a package (efficientnet_lite0); or from a folder. False needs no network."""
     lr: StageSettings = StageSettings()
     """Stage 1: LR-Net and PoseNet."""
     hr: StageSettings = StageSettings()
@@ -232,8 +228,7 @@ class Variant(Design, Settings):
     about: str
     """One sentence for cards and notes."""
     trains_on: Literal["depth", "odometry"] = "depth"
-    """`depth`: the drives of the depth tables; `odometry`: sequences of the odometry table, since each one's test drives are trained on
-    by the other."""
+    """Drives of the depth tables, or sequences of the odometry table; two trainings, since each one's test drives are the other's data."""
     starts_from: str | None = None
     """The variant of stage 1 whose LR-Net is frozen inside and whose PoseNet goes on; of `hr` only PoseNet."""
     set: dict[str, Any] = Field({})

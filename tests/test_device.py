@@ -58,11 +58,6 @@ def test_this_cpu_says_the_same_as_its_operating_system():
     assert has_bf16(CPU) == bool({"avx512_bf16", "amx_bf16"} & set(file.read_text(encoding="utf-8").split()))
 
 
-def test_an_allocator_that_is_not_glibcs_is_left_alone(monkeypatch):
-    monkeypatch.setattr(ctypes, "CDLL", lambda name: object())
-    assert keep_freed_memory() is False
-
-
 def test_device_and_precision_of_predictions_are_chosen_and_settable(monkeypatch):
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 0)
     monkeypatch.setattr(torch.backends.mps, "is_available", lambda: False)
@@ -80,3 +75,14 @@ def test_device_and_precision_of_predictions_are_chosen_and_settable(monkeypatch
     assert inference_precision(None, CPU) == "float32"
     with pytest.raises(InputError, match="'fp8'"):
         inference_precision("fp8", CPU)
+
+
+@pytest.mark.parametrize("library", [OSError("no libc.so.6"), object()])
+def test_an_allocator_that_is_not_glibcs_is_left_alone(monkeypatch, library):
+    def load(name):
+        if isinstance(library, Exception):
+            raise library
+        return library
+
+    monkeypatch.setattr(ctypes, "CDLL", load)
+    keep_freed_memory()

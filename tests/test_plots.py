@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dualdepth.plots import point_errors
+from dualdepth.tables.plots import point_errors
 
 
 def test_a_pixel_shows_the_nearest_of_several_points():

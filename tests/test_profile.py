@@ -56,7 +56,7 @@ def test_the_paper_profile_is_the_papers_recipe():
 def test_an_unknown_profile_names_those_there_are_and_a_file_that_is_not_there_is_named(tmp_path):
     with pytest.raises(InputError, match=r"profile 'papper' not found: choose one of miniature, own, paper, sample, .*tiny"):
         load_profile("papper")
-    with pytest.raises(InputError, match=r"profile .*gone\.yaml: there is no such file"):
+    with pytest.raises(InputError, match=r"profile .*gone\.yaml. not found"):
         load_profile(str(tmp_path / "gone.yaml"))
 
 

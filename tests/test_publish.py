@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from dualdepth.errors import InputError
-from dualdepth.profile import profile_file
-from dualdepth.publish import publish_notebooks, publish_results
+from dualdepth.notebooks import publish_notebooks, publish_results
+from dualdepth.profile import PROFILES
 from dualdepth.run import Run
 
 KITTI = "about: x\ndata:\n  source: kitti\n  train_list: eigen_zhou\n"
@@ -110,7 +110,7 @@ def test_the_copy_that_ran_with_the_notebooks_own_parameters_is_stored(project):
 
 
 def test_executed_notebooks_of_a_world_that_learned_are_kept_with_small_pictures(project, results_of):
-    (project / "world.yaml").write_text(profile_file("tiny").read_text())
+    (project / "world.yaml").write_text((PROFILES / "tiny.yaml").read_text())
     profile = str(project / "world.yaml")
     results_of(profile)
     picture = np.random.default_rng(0).integers(0, 255, (60, 2000, 3), np.uint8)

@@ -1,26 +1,12 @@
 """The paper's qualitative figures, remade from our own predictions."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from dualdepth.evaluation.distance import FAR
 from dualdepth.evaluation.regions import POLE
-from dualdepth.plots import Picture, show_depth, show_error, show_image
-
-
-class CloseUp(NamedTuple):
-    """A part of an image, in pixels."""
-
-    top: int
-    left: int
-    height: int
-    width: int
-
-    def of(self, values: np.ndarray) -> np.ndarray:
-        """The part of (H, W, …)."""
-        return values[self.top : self.top + self.height, self.left : self.left + self.width]
+from dualdepth.tables.plots import CloseUp
 
 
 def around(row: float, column: float, shape: Sequence[int], share: float = 0.3) -> CloseUp:
@@ -73,31 +59,3 @@ def pole_window(labels: np.ndarray) -> CloseUp | None:
         return None
     column, row = centres[1 + stats[1:, cv2.CC_STAT_AREA].argmax()]
     return around(row, column, labels.shape, 0.5)
-
-
-def map_rows(
-    images: Sequence[np.ndarray],
-    maps: dict[str, Sequence[np.ndarray]],
-    titles: Sequence[str],
-    *,
-    windows: Sequence[CloseUp] | None = None,
-    unit: str = "m",
-    errors: bool = False,
-) -> Picture:
-    """Frames in rows: image, then one map for each name in `maps`.
-
-    Args:
-        images, titles: (H, W, 3) each.
-        maps: (H, W) depth each, in metres or in another `unit`; with `errors` relative errors (NaN = unknown).
-        windows: the part of each frame that is shown, instead of all.
-    """
-    windows = windows or [CloseUp(0, 0, *image.shape[:2]) for image in images]
-    height, width = windows[0].height, windows[0].width
-    columns = 1 + len(maps)
-    figure = Picture(figsize=(13.0, len(images) * (12.4 / columns * height / width + 0.22) + 0.1), layout="constrained")
-    for number, row in enumerate(figure.subplots(len(images), columns, squeeze=False)):
-        show_image(row[0], windows[number].of(images[number]), titles[number])
-        for axes, (name, values) in zip(row[1:], maps.items()):
-            shown = windows[number].of(values[number])
-            show_error(axes, shown, name) if errors else show_depth(axes, shown, name, bar=axes is row[-1], unit=unit)
-    return figure

@@ -22,8 +22,7 @@ from dualdepth.evaluation.leaks import check_leak
 from dualdepth.files import atomic_path, file_digest, write_json, write_text
 from dualdepth.model import DepthModel, load
 from dualdepth.networks.architecture import Architecture
-from dualdepth.run import Run, Sources
-from dualdepth.staleness import code_digest
+from dualdepth.run import Run, Sources, code_digest
 from dualdepth.training.weights import load_card
 
 NO_TRUTH = "an own camera has no ground truth"

@@ -9,7 +9,7 @@ from accelerate import Accelerator
 from accelerate.utils import gather_object
 from torch import Tensor
 
-from dualdepth.files import write_text
+from dualdepth.files import atomic_path, write_text
 from dualdepth.training.stages import StageOutput
 
 
@@ -40,12 +40,23 @@ class TrainingLog:
 
     def panel(self, step: int, output: StageOutput) -> None:
         """Picture of the batch's first sample: target, warped source, depth, error."""
-        from dualdepth import plots
+        from matplotlib.figure import Figure
 
-        shown = output.target[0], output.losses.synthesized[0], output.disparity[0, 0], output.losses.error[0, 0]
-        figure = plots.training_panel(*(picture.cpu().numpy() for picture in shown))
+        losses, disparity = output.losses, output.disparity[0, 0]
+        drawn = {
+            "target": (output.target[0].permute(1, 2, 0), {}),
+            "source, warped to the target": (losses.synthesized[0].permute(1, 2, 0).clip(0, 1), {}),
+            "disparity / its mean, 0 … 3": (disparity / disparity.mean(), {"cmap": "magma", "vmin": 0, "vmax": 3}),
+            "photometric error, 0 … 0.5": (losses.error[0, 0], {"cmap": "viridis", "vmin": 0, "vmax": 0.5}),
+        }
+        figure = Figure(figsize=(10, 3.4), layout="constrained")
+        for axes, (title, (values, style)) in zip(figure.subplots(2, 2).flat, drawn.items()):
+            axes.imshow(values.cpu().numpy(), **style)
+            axes.set_title(title, fontsize=8, loc="left")
+            axes.set_axis_off()
         with self._warn_of_errors():
-            plots.save(figure, self.folder / "panels" / f"step_{step:07d}.png")
+            with atomic_path(self.folder / "panels" / f"step_{step:07d}.png") as partial:
+                figure.savefig(partial, dpi=100)
             self.writer.add_figure("panel", figure, step)
 
     def last(self) -> dict[str, float]:

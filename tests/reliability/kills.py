@@ -35,7 +35,7 @@ from tests.small_kitti import write_calibration, write_drive
 
 FRAMES = 10
 IMPORTED = [
-    *("dualdepth.training.variants", "dualdepth.plots", "accelerate", "kornia", "torch._inductor", "torch.utils.tensorboard"),
+    *("dualdepth.training.variants", "matplotlib.figure", "accelerate", "kornia", "torch._inductor", "torch.utils.tensorboard"),
     *("transformers.models.resnet.modeling_resnet", "huggingface_hub.serialization"),
 ]
 """What a training imports, also when it is under way."""

@@ -7,7 +7,7 @@ import yaml
 
 from dualdepth.evaluation.depth import METRICS
 from dualdepth.files import write_json
-from dualdepth.profile import profile_file, standard_variants
+from dualdepth.profile import PROFILES, standard_variants
 from dualdepth.run import Run
 from dualdepth.tables import scores
 
@@ -20,7 +20,7 @@ def make_run(tmp_path):
 
     def make(profile="tiny", *, text=None, frames=2, listed=None):
         if text is None and profile == "tiny":
-            values = yaml.safe_load(profile_file("tiny").read_text(encoding="utf-8"))
+            values = yaml.safe_load((PROFILES / "tiny.yaml").read_text(encoding="utf-8"))
             text = yaml.safe_dump(values | {"train": dict.fromkeys(standard_variants())})
         if text is not None:
             path = tmp_path / f"{profile}.yaml"

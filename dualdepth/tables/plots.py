@@ -2,7 +2,7 @@
 
 import io
 from collections.abc import Sequence
-from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -10,12 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from dualdepth.files import atomic_path
-
-DEPTH_MAP = "magma_r"
-"""Near is bright, far is dark; logarithmic in depth, so that near and far both show."""
 NEAR, FAR = 3.0, 80.0
-"""Metres at the ends of the colour scale."""
+"""Metres at the ends of the colour scale of depth."""
 POINT_RADIUS = 2.5
 """Pixels that a laser point is enlarged by in pictures of errors."""
 
@@ -29,51 +25,45 @@ class Picture(Figure):
         return buffer.getvalue()
 
 
-def save(figure: Figure, path: str | Path, dpi: int = 100) -> Path:
-    """Write a figure as PNG, atomically."""
-    with atomic_path(path) as partial:
-        figure.savefig(partial, dpi=dpi)
-    return Path(path)
-
-
-def show_image(axes: Axes, image: np.ndarray, title: str = "") -> None:
+def show_image(axes: Axes, image: np.ndarray, title: str) -> None:
     """Draw an image (H, W, 3), uint8 or in [0, 1], without ticks."""
     axes.imshow(image)
     axes.set_title(title, fontsize=8, loc="left")
     axes.set_axis_off()
 
 
-def show_depth(axes: Axes, depth: np.ndarray, title: str = "", bar: bool = True, unit: str = "m") -> None:
-    """Draw a depth map (H, W) in metres, 0 = unknown (grey), with a colour bar in metres, or in another `unit`."""
-    shown = np.ma.masked_less_equal(depth, 0)
+def show_depth(axes: Axes, depth: np.ndarray, title: str, bar: bool = True, unit: str = "m") -> None:
+    """Draw a depth map (H, W) in metres, 0 = unknown (grey), with a colour bar in metres, or in another `unit`.
+
+    Near is bright, far is dark; logarithmic in depth, so that near and far both show.
+    """
+    ticks = {value: str(value) for value in (3, 5, 10, 20, 40)} | {80: f"80 {unit}"}
+    _show_map(axes, np.ma.masked_less_equal(depth, 0), title, ticks if bar else {}, "both", cmap="magma_r", norm=LogNorm(NEAR, FAR))
+
+
+def show_error(axes: Axes, error: np.ndarray, title: str) -> None:
+    """Draw |prediction − truth| / truth (H, W), NaN = no truth (grey), 0 … 0.5."""
+    ticks = {0: "0", 0.25: "25%", 0.5: "50%"}
+    _show_map(axes, np.ma.masked_invalid(error), title, ticks, "max", cmap="viridis", vmin=0, vmax=0.5)
+
+
+def _show_map(axes: Axes, values: np.ma.MaskedArray, title: str, ticks: dict[float, str], extend: str, **style: Any) -> None:
     axes.set_facecolor("0.85")
-    drawn = axes.imshow(shown, cmap=DEPTH_MAP, norm=LogNorm(NEAR, FAR), interpolation="nearest")
+    drawn = axes.imshow(values, interpolation="nearest", **style)
     axes.set_title(title, fontsize=8, loc="left")
-    axes.set_xticks([])
-    axes.set_yticks([])
-    if bar:
-        colours = axes.figure.colorbar(drawn, ax=axes, fraction=0.012, pad=0.01, extend="both")
-        colours.set_ticks([3, 5, 10, 20, 40, 80], labels=["3", "5", "10", "20", "40", f"80 {unit}"], fontsize=6)
+    axes.set(xticks=[], yticks=[])
+    if ticks:
+        colours = axes.figure.colorbar(drawn, ax=axes, fraction=0.012, pad=0.01, extend=extend)
+        colours.set_ticks([*ticks], labels=[*ticks.values()], fontsize=6)
         colours.minorticks_off()
 
 
-def show_error(axes: Axes, error: np.ndarray, title: str = "", top: float = 0.5) -> None:
-    """Draw |prediction − truth| / truth (H, W), NaN = no truth (grey), 0 … `top`."""
-    axes.set_facecolor("0.85")
-    drawn = axes.imshow(np.ma.masked_invalid(error), cmap="viridis", vmin=0, vmax=top, interpolation="nearest")
-    axes.set_title(title, fontsize=8, loc="left")
-    axes.set_xticks([])
-    axes.set_yticks([])
-    colours = axes.figure.colorbar(drawn, ax=axes, fraction=0.012, pad=0.01, extend="max")
-    colours.set_ticks([0, top / 2, top], labels=["0", f"{top / 2:.0%}", f"{top:.0%}"], fontsize=6)
-
-
-def thicken(sparse: np.ndarray, pixels: int = 5) -> np.ndarray:
-    """Enlarge the points of a sparse map (H, W; 0 = none) to squares, the nearest depth on top, so that they show in a figure."""
+def thicken(sparse: np.ndarray) -> np.ndarray:
+    """Enlarge the points of a sparse map (H, W; 0 = none) to 5×5 pixels, the nearest depth on top, so that they show in a figure."""
     import cv2
 
     inverse = np.where(sparse > 0, 1.0 / np.maximum(sparse, 1e-3), 0).astype(np.float32)
-    grown = cv2.dilate(inverse, np.ones((pixels, pixels), np.uint8))
+    grown = cv2.dilate(inverse, np.ones((5, 5), np.uint8))
     return np.where(grown > 0, 1.0 / np.maximum(grown, 1e-6), 0)
 
 
@@ -86,6 +76,50 @@ def point_errors(prediction: np.ndarray, truth: np.ndarray) -> np.ndarray:
     error = np.abs(prediction - truth) / np.maximum(truth, 1e-3)
     distance, nearest = distance_transform_edt(truth <= 0, return_indices=True)
     return np.where(distance <= POINT_RADIUS, error[tuple(nearest)], np.nan)
+
+
+class CloseUp(NamedTuple):
+    """A part of an image, in pixels."""
+
+    top: int
+    left: int
+    height: int
+    width: int
+
+    def of(self, values: np.ndarray) -> np.ndarray:
+        """The part of (H, W, …)."""
+        return values[self.top : self.top + self.height, self.left : self.left + self.width]
+
+
+def map_rows(
+    images: Sequence[np.ndarray],
+    maps: dict[str, Sequence[np.ndarray]],
+    titles: Sequence[str],
+    *,
+    windows: Sequence[CloseUp] | None = None,
+    unit: str = "m",
+    errors: bool = False,
+) -> Picture:
+    """Frames in rows: image, then one map for each name in `maps`.
+
+    Args:
+        images, titles: (H, W, 3) each.
+        maps: (H, W) depth each, in metres or in another `unit`; with `errors` relative errors (NaN = unknown).
+        windows: the part of each frame that is shown, instead of all.
+    """
+    windows = windows or [CloseUp(0, 0, *image.shape[:2]) for image in images]
+    columns, shape = 1 + len(maps), windows[0].height / windows[0].width
+    figure = Picture(figsize=(13.0, len(images) * (12.4 / columns * shape + 0.22) + 0.1), layout="constrained")
+    for row, window, image, title, *values in zip(
+        figure.subplots(len(images), columns, squeeze=False), windows, images, titles, *maps.values()
+    ):
+        show_image(row[0], window.of(image), title)
+        for axes, name, value in zip(row[1:], maps, values):
+            if errors:
+                show_error(axes, window.of(value), name)
+            else:
+                show_depth(axes, window.of(value), name, bar=axes is row[-1], unit=unit)
+    return figure
 
 
 def depth_comparison(
@@ -121,70 +155,26 @@ def image_grid(images: Sequence[np.ndarray], titles: Sequence[str], columns: int
     return figure
 
 
-def depth_pair(image: np.ndarray, depth: np.ndarray, image_title: str, depth_title: str) -> Picture:
-    """An image (H, W, 3) and its depth map (H, W) in metres side by side."""
-    figure = Picture(figsize=(13, 2.2), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    show_image(left, image, image_title)
-    show_depth(right, depth, depth_title)
-    return figure
-
-
-def truth_overlay(images: Sequence[np.ndarray], truths: Sequence[np.ndarray], titles: Sequence[str]) -> Picture:
-    """Rows of image and its laser depth (H, W), metres."""
-    figure = Picture(figsize=(13, 2.1 * len(images)), layout="constrained")
-    for (left, right), image, truth, title in zip(figure.subplots(len(images), 2, squeeze=False), images, truths, titles):
-        show_image(left, image, title)
-        show_depth(right, thicken(truth), "laser depth")
-    return figure
-
-
 def image_spread(scores: dict[str, pd.DataFrame]) -> Picture:
     """Histograms over images: Abs Rel, and the median-scaling ratio by its median; one colour per method."""
     figure = Picture(figsize=(10, 2.6), layout="constrained")
     left, right = figure.subplots(1, 2)
-    for name, frame in scores.items():
-        left.hist(frame["abs_rel"], bins=30, alpha=0.6, label=name)
-        right.hist(frame["scale_ratio"] / frame["scale_ratio"].median(), bins=30, alpha=0.6, label=name)
-    left.set_title("Abs Rel of an image", fontsize=9, loc="left")
-    right.set_title("median-scaling ratio / its median", fontsize=9, loc="left")
-    left.set_ylabel("images")
-    left.legend(fontsize=7)
+    errors = pd.DataFrame({name: frame["abs_rel"] for name, frame in scores.items()})
+    ratios = pd.DataFrame({name: frame["scale_ratio"] / frame["scale_ratio"].median() for name, frame in scores.items()})
+    errors.plot.hist(ax=left, bins=30, alpha=0.6, title="Abs Rel of an image", ylabel="images")
+    ratios.plot.hist(ax=right, bins=30, alpha=0.6, title="median-scaling ratio / its median", ylabel="", legend=False)
     return figure
 
 
-def training_panel(target: np.ndarray, synthesized: np.ndarray, disparity: np.ndarray, error: np.ndarray) -> Picture:
-    """One sample of a batch: target, warped source (3, H, W), relative depth and photometric error (H, W)."""
-    figure = Picture(figsize=(10, 3.4), layout="constrained")
-    (top_left, top_right), (bottom_left, bottom_right) = figure.subplots(2, 2)
-    show_image(top_left, target.transpose(1, 2, 0).clip(0, 1), "target")
-    show_image(top_right, synthesized.transpose(1, 2, 0).clip(0, 1), "source, warped to the target")
-    bottom_left.imshow(disparity / disparity.mean(), cmap="magma", vmin=0, vmax=3)
-    bottom_left.set_title("disparity / its mean, 0 … 3", fontsize=8, loc="left")
-    bottom_left.set_axis_off()
-    bottom_right.imshow(error, cmap="viridis", vmin=0, vmax=0.5)
-    bottom_right.set_title("photometric error, 0 … 0.5", fontsize=8, loc="left")
-    bottom_right.set_axis_off()
-    return figure
-
-
-def learning_curve(logs: dict[str, pd.DataFrame]) -> Picture:
-    """Loss components, step sizes and spreads over the steps; one line per run."""
-    panels = {
-        "photometric": "photometric loss",
-        "translation": "pose: translation (depth units)",
-        "disparity_spread": "disparity: spread / mean",
-    }
+def learning_curve(log: pd.DataFrame) -> Picture:
+    """Photometric loss, step size and spread of disparity over the steps of a training's log, each with its running mean."""
+    columns = ["photometric", "translation", "disparity_spread"]
+    titles = ["photometric loss", "pose: translation (depth units)", "disparity: spread / mean"]
     figure = Picture(figsize=(12, 2.8), layout="constrained")
-    for axes, (column, title) in zip(figure.subplots(1, len(panels)), panels.items()):
-        for name, log in logs.items():
-            axes.plot(log["step"], log[column], lw=0.5, alpha=0.4)
-            smooth = log[column].rolling(max(len(log) // 15, 1), min_periods=1).mean()
-            axes.plot(log["step"], smooth, color=axes.lines[-1].get_color(), label=name)
-        axes.set_title(title, fontsize=9, loc="left")
-        axes.set_xlabel("step")
-        axes.grid(alpha=0.3)
-    axes.legend(fontsize=7)
+    values = log.set_index("step")[columns]
+    axes = figure.subplots(1, len(columns))
+    values.plot(ax=axes, subplots=True, title=titles, legend=False, color="C0", lw=0.5, alpha=0.4)
+    values.rolling(max(len(log) // 15, 1), min_periods=1).mean().plot(ax=axes, subplots=True, legend=False, grid=True, color="C0")
     return figure
 
 
@@ -192,15 +182,11 @@ def cost_bars(costs: pd.DataFrame) -> Picture:
     """Operations, and time in both precisions, of networks by name (index): columns gmacs, latency_ms, latency_ms_bf16, device."""
     figure = Picture(figsize=(12, 0.4 * len(costs) + 1), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
-    places = np.arange(len(costs))[::-1]
-    left.barh(places, costs["gmacs"], color="0.6")
-    left.set_yticks(places, costs.index, fontsize=8)
-    left.set_title("10⁹ multiply-accumulates", fontsize=9, loc="left")
-    right.barh(places + 0.2, costs["latency_ms"], 0.4, label="float32")
-    if costs["latency_ms_bf16"].notna().any():
-        right.barh(places - 0.2, costs["latency_ms_bf16"], 0.4, label="bf16")
-    right.set_title(f"milliseconds an image on {costs['device'].iloc[0]}", fontsize=9, loc="left")
-    right.legend(fontsize=7)
+    costs["gmacs"].plot.barh(ax=left, color="0.6", title="10⁹ multiply-accumulates", ylabel="")
+    times = costs[["latency_ms", "latency_ms_bf16"]].dropna(axis="columns", how="all")
+    times.plot.barh(ax=right, title=f"milliseconds an image on {costs['device'].iloc[0]}", ylabel="")
+    right.legend(["float32", "bf16"], fontsize=7)
+    left.invert_yaxis()
     return figure
 
 
