@@ -77,5 +77,5 @@ def grid_intrinsics(intrinsics: np.ndarray, size: tuple[int, int]) -> np.ndarray
 
 def _write_picture(path: Path, picture: np.ndarray) -> None:
     """Write (H, W) or BGR (H, W, 3) uint8 as PNG or JPEG; unlike OpenCV's writer this raises on a full disk."""
-    options = [cv2.IMWRITE_PNG_COMPRESSION, 3, cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
+    options = [cv2.IMWRITE_PNG_COMPRESSION, 3] if path.suffix == ".png" else [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
     path.write_bytes(cv2.imencode(path.suffix, picture, options)[1].tobytes())
