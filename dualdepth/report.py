@@ -77,6 +77,8 @@ def make_report(run: Run) -> Report:
         claims["verdict"] = claims["verdict"].where(claims["verdict"] == NOT_RUN, "not judged")
     where, words = "of a synthetic world, not of KITTI" if run.profile.world else "of a small training", _WORDS["cautions"][judged]
     caution = f"These are numbers {where}: {words}" if words else ""
+    if caution and run.profile.training.beyond_paper_residual:
+        caution += f" {_WORDS['residual']}"
     if not run.profile.data.has_truth:
         caution = "An own camera has no ground truth: nothing is scored and nothing is judged. What was learned shows in the pictures."
     if leaks:
