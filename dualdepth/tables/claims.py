@@ -143,8 +143,8 @@ def _judge(tables: dict[str, pd.DataFrame], claim: Claim, metric: str) -> tuple[
         return {}, Verdict(NOT_RUN, "no comparison was made")
     # the PoseNets that are scored on KITTI have trainings of their own
     pair = table["a"].str.removeprefix("odometry_").eq(claim.a) & table["b"].str.removeprefix("odometry_").eq(claim.b)
-    rows = table[pair & (table["of"].fillna("").eq(claim.of) if claim.of else True)]
-    rows = rows[rows["metric"].fillna("").isin([metric, ""])]
+    rows = table[pair & (table["of"].astype(object).fillna("").eq(claim.of) if claim.of else True)]
+    rows = rows[rows["metric"].astype(object).fillna("").isin([metric, ""])]
     if rows.empty:
         return {}, Verdict(NOT_RUN, "no comparison was made")
     row = rows.iloc[0]
