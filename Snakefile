@@ -29,6 +29,7 @@ PAGES = {
     "13_figures": (None, ["lr", "dual"]),
 }
 # a data set of an own camera may be made anew in the same folder
+LISTED = {"test_list": file_digest(GIVEN["test_list"])} if Path(GIVEN["test_list"]).is_file() else {}
 OWN = {} if run_.profile.data.has_truth else {RECORD: file_digest(Path(GIVEN["kitti_root"]) / RECORD)}
 
 
@@ -79,7 +80,7 @@ rule download_data:
         notebook=f"{RESULTS}/notebooks/01_download_data.ipynb",
         sources=f"{WORK}/sources.json",
     params:
-        *run_.made_from("01_download_data", "data", setting=run_.profile.values("world", "data"), given=GIVEN, files=OWN),
+        *run_.made_from("01_download_data", "data", setting=run_.profile.values("world", "data"), given=GIVEN, files=OWN | LISTED),
     threads: workflow.cores
     shell:
         "dualdepth notebook 01_download_data --out {output.notebook} --set profile={PROFILE:q}"
@@ -138,7 +139,7 @@ SHARED = {
 FILES = {
     "make3d": {"make3d_root": folder_digest(GIVEN["make3d_root"], "*/*.jpg", "*/*.mat", "*/*/*.mat")},
     "odometry": {"odometry_root": folder_digest(GIVEN["odometry_root"], "poses/*.txt", "sequences/*/poses.txt")},
-    "sa_region": {"labels_root": folder_digest(GIVEN["labels_root"], "*/*.png")},
+    "sa_region": {"labels_root": folder_digest(GIVEN["labels_root"], "*/*.png", "labels.json")},
 }
 
 for page, (table, names) in PAGES.items():
@@ -153,7 +154,7 @@ for page, (table, names) in PAGES.items():
             notebook=f"{RESULTS}/notebooks/{page}.ipynb",
             table=[f"{RESULTS}/tables/{table}.csv", f"{RESULTS}/tables/{table}.json"] if table else [],
         params:
-            *run_.made_from(page, "tables", files=FILES.get(table, DRAWING), **SHARED),
+            *run_.made_from(page, "tables", files=FILES.get(table, FILES["sa_region"] | DRAWING), **SHARED),
             page=page,
             seeds=",".join(map(str, SEEDS)),
         threads: workflow.cores if table == "backbone" else max(1, workflow.cores // 2)  # the one measures time

@@ -30,6 +30,10 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         with open(partial, "rb+") as file:
             os.fsync(file.fileno())
         os.replace(partial, path)
+        with contextlib.suppress(OSError):  # not every system lets a folder be opened
+            folder = os.open(path.parent, os.O_RDONLY)
+            os.fsync(folder)  # so that the new name outlives a power cut
+            os.close(folder)
     finally:
         partial.unlink(missing_ok=True)
 

@@ -171,16 +171,13 @@ class Run:
         """Provenance: revision, hashes of lock, profile and inputs, versions, machine, time; seconds are since this run was opened."""
         from dualdepth.device import device_name
 
-        def git(*words: str) -> str:
-            return subprocess.run(["git", "-C", str(self.root), *words], capture_output=True, text=True, check=False).stdout.strip()
-
         return {
             "seconds": round(time.perf_counter() - self.began, 1),
             "device": device_name(),
             "made": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
             "version": __version__,
-            "revision": git("rev-parse", "HEAD") or "unknown",
-            "dirty": bool(git("status", "--porcelain")),
+            "revision": self._revision[0],
+            "dirty": self._revision[1],
             "profile": self.profile.name,
             "profile_sha256": hashlib.sha256(self.profile.model_dump_json().encode()).hexdigest(),
             "lock_sha256": file_digest(self.root / "environment.lock"),
@@ -200,6 +197,15 @@ class Run:
         cells = {notebook: notebook_digest(self.root / "notebooks" / f"{notebook}.ipynb")}
         named = {"notebook": cells, "code": {part: _digest(part) for part in CODE[step]}, **kinds}
         return [(f"{kind} {name}", value) for kind, values in named.items() for name, value in _leaves(values)]
+
+    @functools.cached_property
+    def _revision(self) -> tuple[str, bool]:
+        """Revision of the code that this run loaded, and whether it was changed since."""
+
+        def git(*words: str) -> str:
+            return subprocess.run(["git", "-C", str(self.root), *words], capture_output=True, text=True, check=False).stdout.strip()
+
+        return git("rev-parse", "HEAD") or "unknown", bool(git("status", "--porcelain"))
 
     @property
     def allow_leak(self) -> bool:

@@ -87,8 +87,10 @@ class DualNet(nn.Module):
         deepest = lr_net.encoder.channels[-1]
         self.attention = None if link == "direct" else SelfAssembledAttention(deepest, similarity, normalise, mixing=link == "attention")
         self.hr_net = HRNet(deepest if self.attention is None else WIDTH)
-        for head in self.hr_net.decoder.heads if residual else ():
-            nn.init.zeros_(head.bias)
+        if residual:
+            self.register_buffer("floor", torch.tensor(RESIDUAL_FLOOR))  # among the weights, so that those of another floor do not fit
+            for head in self.hr_net.decoder.heads:
+                nn.init.zeros_(head.bias)
         self.train(self.training)
 
     def begin(self, image: Tensor) -> None:
@@ -116,7 +118,7 @@ class DualNet(nn.Module):
             with torch.no_grad():
                 low_output = self.lr_net.decoder(maps)
         if self.residual:
-            floored = low_output.logits[0].clamp(min=RESIDUAL_FLOOR)
+            floored = low_output.logits[0].clamp(min=self.floor)
             start = (F.interpolate(floored, x.shape[-2:], mode="bilinear", align_corners=False) for x in output.logits)
             output = output._replace(logits=[x + s for x, s in zip(output.logits, start)])
         return (output, low_output) if with_lr_depth else output

@@ -22,7 +22,9 @@ def main_scores(run: Run, seeds: Sequence[int]) -> Scores:
     """LR-Net and the dual network, LR-Net of the same seeds before its first step, and the baselines without learning."""
     scores, options = collect(run, ("lr", "dual"), seeds), run.profile.evaluation.model_dump()
     if not run.profile.data.has_truth:
-        return scores._replace(missing=scores.missing | dict.fromkeys(METHODS, NO_TRUTH))
+        for name in METHODS:
+            scores = scores.plus(name, None, NO_TRUTH)
+        return scores
     untrained = {seed: untrained_net(run, seed).disparities(scored(run).paths) for seed in seeds}
     frames = {seed: evaluate(d, scored(run).truth, name=UNTRAINED, kind="disparity", **options) for seed, d in untrained.items()}
     scores = scores.plus(UNTRAINED, frames, "before its first step")

@@ -95,7 +95,9 @@ def make3d_scores(run: Run, seeds: Sequence[int]) -> Scores:
     photos = load_photos(run)
     if photos is None:
         scores = collect(run, VARIANTS, seeds, reason=NO_PHOTOS)
-        return scores._replace(missing=scores.missing | dict.fromkeys((CONSTANT, MEAN, UNTRAINED), NO_PHOTOS))
+        for name in (CONSTANT, MEAN, UNTRAINED):
+            scores = scores.plus(name, None, NO_PHOTOS)
+        return scores
 
     def by_convention(score: Callable[[Convention], pd.DataFrame]) -> pd.DataFrame:
         return pd.concat({c: score(c) for c in CONVENTIONS}, names=["part"]).swaplevel()

@@ -43,7 +43,9 @@ def odometry_scores(run: Run, seeds: Sequence[int]) -> Scores:
     drives = scored_drives(run, entries)
     scores = collect(run, run.profile.pose_variants, seeds, lambda t: follow(t, entries), reason=reason, drives=drives)
     if reason:
-        return scores._replace(missing=scores.missing | dict.fromkeys(CONTROLS, reason))
+        for name in CONTROLS:
+            scores = scores.plus(name, None, reason)
+        return scores
     known = f"the mean step of sequences {' '.join(known_sequences(run))}, never turning"
     notes = {"constant": known, "straight": "a metre a frame along the optical axis", "inverted": "a mistake that snippets hardly see"}
     for name in CONTROLS:

@@ -62,9 +62,16 @@ class Scored:
 
     @functools.cached_property
     def paths(self) -> list[Path]:
-        """Image files."""
+        """Image files.
+
+        Raises:
+            InputError: one is gone since notebook 02.
+        """
         root = Sources.load(self.run).kitti_root
-        return [path for frame in self.frames if (path := image_path(root, frame))]
+        found = [image_path(root, frame) for frame in self.frames]
+        if None in found:
+            raise InputError(f"{root}: has no image of scored frame {self.frames[found.index(None)]}; run notebook 02_prepare_data again")
+        return found
 
     def exact_depth(self, image: int) -> np.ndarray | None:
         """Exact depth (H, W) in metres, 0 in the sky: the synthetic world has it, real KITTI does not."""
@@ -74,8 +81,11 @@ class Scored:
 
     def label_map(self, image: int) -> np.ndarray | None:
         """Cityscapes training ids (H, W), or None where the run has no label maps; the synthetic world has them."""
-        root = Sources.load(self.run).labels_root
-        return read_label_map(label_path(root, self.frames[image])) if root else None
+        return read_label_map(label_path(self._labels, self.frames[image])) if self._labels else None
+
+    @functools.cached_property
+    def _labels(self) -> Path | None:
+        return Sources.load(self.run).labels_root
 
     def title(self, image: int) -> str:
         """Drive and number of a frame, for pictures."""
@@ -87,10 +97,18 @@ class Scored:
         return "m" if self.run.profile.data.has_truth else f"(scale unknown: median {SHOWN_MEDIAN:g})"
 
 
-@functools.lru_cache(maxsize=4)
 def scored(run: Run) -> Scored:
-    """`Scored` of a run, read once."""
+    """`Scored` of a run, read once as long as notebook 02 is not run again."""
+    return _scored(run, _changed(run.prepared / "test_frames.json"))
+
+
+@functools.lru_cache(maxsize=4)
+def _scored(run: Run, changed: int) -> Scored:
     return Scored(run)
+
+
+def _changed(path: Path) -> int:
+    return path.stat().st_mtime_ns if path.exists() else 0
 
 
 class Trained:
@@ -141,6 +159,7 @@ class Trained:
         made_from = {"weights": file_digest(self.weights), **made_from, "code": code_digest("predict")}
         stamp = path.with_suffix(".json")
         if not (path.exists() and _read_stamp(stamp) == made_from):
+            stamp.unlink(missing_ok=True)  # a kill between the two must not leave an old stamp beside a new file
             make(path)
             write_json(stamp, made_from)
         return path
@@ -178,6 +197,7 @@ class Trained:
 
         Without ground truth no metric has a value, and `scale_ratio` gives the median depth `SHOWN_MEDIAN`.
         """
+        self.check(scored(self.run).drives)
         if not self.run.profile.data.has_truth:
             frame = pd.DataFrame({name: np.nan for name in METRICS}, index=pd.RangeIndex(len(self.disparities), name="image"))
             return frame.assign(scale_ratio=[SHOWN_MEDIAN * float(np.median(d)) for d in self.disparities], valid_pixels=0)
@@ -199,9 +219,13 @@ class Trained:
         return np.clip(enlarged * self.scores.loc[image, "scale_ratio"], settings.min_depth, settings.max_depth)
 
 
-@functools.lru_cache(maxsize=256)
 def trained(run: Run, variant: str, seed: int) -> Trained:
-    """`Trained`, one of each for a run, so that tables that ask for the same scores compute them once."""
+    """`Trained`, one for the same weights and frames, so that tables that ask for the same scores compute them once."""
+    return _trained(run, variant, seed, _changed(run.weights(variant, seed)), _changed(run.prepared / "ground_truth.npz"))
+
+
+@functools.lru_cache(maxsize=256)
+def _trained(run: Run, variant: str, seed: int, *changed: int) -> Trained:
     return Trained(run, variant, seed)
 
 
@@ -234,13 +258,14 @@ class Scores(NamedTuple):
 
     def of(self, variant: str, part: str | None = None) -> pd.DataFrame:
         """The rows (seed, image) of a variant, of one part of the images where they have parts; images without that part have no row."""
-        frame = self.frame.loc[variant]
+        there = variant in self.frame.index.unique("variant")
+        frame = self.frame.loc[variant] if there else self.frame.iloc[:0].droplevel("variant")
         return frame if part is None else frame[frame.index.get_level_values("part") == part].droplevel("part")
 
     def plus(self, name: str, frames: dict[int, pd.DataFrame] | None, note: str) -> "Scores":
         """With another method: its scores by seed, or under `SEEDLESS`, and what it is; None where it has none, and `note` says why."""
         if frames is None:
-            return self._replace(missing=self.missing | {name: note})
+            return self._replace(missing=self.missing | {name: note}, notes={**self.notes, name: note})
         more = pd.concat({(name, seed): frame for seed, frame in frames.items()}, names=["variant", "seed"])
         return self._replace(frame=pd.concat([self.frame, more]), notes={**self.notes, name: note})
 

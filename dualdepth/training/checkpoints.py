@@ -57,7 +57,7 @@ def load_checkpoint(path: str | Path) -> dict[str, Any]:
     path = Path(path)
     try:
         state = _read(path)
-        if set(state) >= KEYS:
+        if set(state) >= KEYS - {"precision"}:  # one without is of before it was kept, and so of another recipe
             return state
         reason = "keys are missing"
     except Exception as error:  # torch, pickle and zip have a kind for each damage
