@@ -153,7 +153,7 @@ BAD_FILES = [
     (GOOD.replace("about: a test\n", ""), "about"),
     ("- a\n- b\n", "expected a mapping of settings, found list"),
     ("", "expected a mapping of settings, found NoneType"),
-    ("a: [1,\n", "not a YAML file"),
+    ("a: [1,\n", "give settings in YAML"),
 ]
 
 
