@@ -17,8 +17,9 @@ RULES = {
     "A number": f"reproduced: at most {TOLERANCE:.0%} (or half of the last printed digit) from the paper's, or better. Within noise:"
     " farther off, but the paper's number lies in our 95 % interval over at least two seeds. Not reproduced: else.",
     "A claim": "reproduced: our difference has the claimed sign, and its 95 % intervals over images and, with two seeds or more, over"
-    " seeds exclude zero. Within noise: one of them includes zero. Not reproduced: the opposite sign, as surely. Edges also need a boundary F1"
-    " of 0.1, and slim poles twice LR-Net's share of pixels with δ<1.25: to be a little better at what neither network can do proves nothing.",
+    " seeds exclude zero. Within noise: one of them includes zero. Not reproduced: the opposite sign, as surely. Edges"
+    " also need a boundary F1 of 0.1, and slim poles twice LR-Net's share of pixels with δ<1.25: to be a little better at what neither"
+    " network can do proves nothing.",
     "Either": "not run: there is no number of ours; the reason is said.",
 }
 """In words what `judge_number` and `judge_claim` do."""
