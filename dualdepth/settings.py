@@ -188,6 +188,9 @@ class Training(Settings):
     walls (`stages.corridor`), at a rate of 1e-3. Depth then begins with motions that turn; else it takes turns upon itself."""
     beyond_paper_mirrored_motion: bool = False
     """Beyond the paper: PoseNet sees half of the samples mirrored, and the motion that it finds is mirrored back."""
+    beyond_paper_average: float = Field(0.0, ge=0.0, lt=1.0)
+    """Beyond the paper: the weights that are kept are the running mean of those after each step (Polyak), with this decay, at first a
+    shorter one; 0 keeps those of the last step. Short trainings at high rates go up and down from step to step, their mean does not."""
     precision: Literal["auto", "float32", "bf16"] = "auto"
     """Of the networks; geometry and losses are always float32. `auto`: where the device computes in bf16, the faster of the two by a step
     of each, else float32; a training ends in the precision in which it began, and its card says which that was."""

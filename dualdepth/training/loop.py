@@ -11,6 +11,7 @@ from typing import Any
 import torch
 from accelerate import Accelerator, DistributedDataParallelKwargs, PartialState
 from accelerate.utils import broadcast_object_list, set_seed
+from torch.optim.swa_utils import AveragedModel
 from torch.utils.data import DataLoader, default_collate
 from tqdm import tqdm
 
@@ -147,6 +148,10 @@ class Trainer:
         if not checkpoint and isinstance(model.depth_net, DualNet):
             model.depth_net.begin(to_unit(self._first_batch()["images"][:, 0]))
         self.model, self.optimizer = self.accelerator.prepare(model, optimizer)
+        decay, model = self.settings.beyond_paper_average, self.accelerator.unwrap_model(self.model)
+        self.average = AveragedModel(model, multi_avg_fn=running_mean(decay), use_buffers=True) if decay else None
+        if self.average and checkpoint:
+            self.average.load_state_dict(checkpoint["average"])
 
     def run(self, card: dict[str, Any]) -> Path:
         """Train to the end and write the weights; `card` is what theirs says, beside the training's own facts.
@@ -209,6 +214,8 @@ class Trainer:
         norm = torch.nn.utils.get_total_norm(p.grad for p in self.trained if p.grad is not None)
         self._check_finite("gradient", norm, step, names)
         self.optimizer.step()
+        if self.average and not in_a_corridor:
+            self.average.update_parameters(accelerator.unwrap_model(self.model))
         return output, statistics
 
     def _check_finite(self, what: str, value: torch.Tensor, step: int, names: Sequence[str]) -> None:
@@ -224,6 +231,7 @@ class Trainer:
             return
         state = {"recipe": self.recipe, "parts": self.parts, "precision": self.precision, "step": step}
         state |= {"model": self.accelerator.unwrap_model(self.model).state_dict(), "optimizer": self.optimizer.state_dict()}
+        state |= {"average": self.average.state_dict()} if self.average else {}
         try:
             save_checkpoint(self.folder, state, self.settings.keep_checkpoints)
         except OSError as error:
@@ -239,11 +247,26 @@ class Trainer:
             facts = {"seed": self.seed, "recipe": self.recipe, "steps": self.total, "seconds_of_last_run": round(seconds, 1)}
             facts |= {"resumed_at": self.start, "device": device_name(), "precision": self.precision, "batch_parts": self.parts}
             log.close()
-            save_weights(weights, self.accelerator.unwrap_model(self.model), card | facts | {"last_losses": log.last()})
+            kept = self.average.module if self.average else self.accelerator.unwrap_model(self.model)
+            save_weights(weights, kept, card | facts | {"last_losses": log.last()})
             for path in checkpoint_paths(self.folder):
                 path.unlink(missing_ok=True)
         self.accelerator.wait_for_everyone()
         return weights
+
+
+def running_mean(decay: float) -> Callable[[Sequence[torch.Tensor], Sequence[torch.Tensor], torch.Tensor], None]:
+    """What moves each mean towards the new value, for torch's `AveragedModel`, from the number of values that the means are of.
+
+    Of n values the newest counts for 1 − min(decay, (1 + n) / (10 + n)), so that a short training's mean is over its last ninth.
+    """
+
+    def update(means: Sequence[torch.Tensor], values: Sequence[torch.Tensor], number: torch.Tensor) -> None:
+        share = max(1.0 - decay, 9.0 / (10.0 + int(number)))
+        for mean, value in zip(means, values):
+            mean.lerp_(value, share) if mean.is_floating_point() else mean.copy_(value)
+
+    return update
 
 
 def step_seconds(model: Stage, batch: dict[str, Any], device: torch.device, precision: Precision) -> float:
