@@ -29,7 +29,7 @@ PAGES = {
     "13_figures": (None, ["lr", "dual"]),
 }
 # a data set of an own camera may be made anew in the same folder
-LISTED = {"test_list": file_digest(GIVEN["test_list"])} if Path(GIVEN["test_list"]).is_file() else {}
+LISTED = {"test_list": file_digest(Path(GIVEN["test_list"]))} if GIVEN["test_list"] else {}
 OWN = {} if run_.profile.data.has_truth else {RECORD: file_digest(Path(GIVEN["kitti_root"]) / RECORD)}
 
 

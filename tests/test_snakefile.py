@@ -93,6 +93,14 @@ def test_odometry_is_trained_on_triplets_of_its_own_but_without_its_folder_has_a
     assert fresh(*given) == ["03_train_lr odometry_lr seed 0", "06_table_make3d", "12_table_odometry", "14_report"]
 
 
+def test_another_list_of_frames_in_the_same_file_is_prepared_anew(fresh, tmp_path):
+    fresh.change(*KITTI)
+    for frames in ("one", "another"):
+        (tmp_path / "frames.txt").write_text(frames)
+        assert "02_prepare_data" in fresh(f"test_list={tmp_path / 'frames.txt'}")
+    assert fresh(f"test_list={tmp_path / 'frames.txt'}") == []
+
+
 def test_a_data_set_of_an_own_camera_made_anew_in_its_folder_is_prepared_anew(fresh, tmp_path):
     own = ("world: {}\ndata: {source: miniature}", "data: {source: own}")
     (tmp_path / "film").mkdir()
