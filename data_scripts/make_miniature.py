@@ -21,8 +21,8 @@ from pathlib import Path
 import cv2
 from tqdm import tqdm
 
-from data_scripts.miniature.frames import Shot, write_shot
 from data_scripts.miniature.plan import plan_world
+from data_scripts.miniature.render import Shot, write_shot
 from dualdepth.errors import InputError, exit_on_input_error
 from dualdepth.files import locked, write_json, write_text
 from dualdepth.profile import load_profile

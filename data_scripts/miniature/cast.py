@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from data_scripts.miniature.solids import Prism, Quadric
+from data_scripts.miniature.solids import Prism, Quadric, Solid, Surface
 
 SKY, GROUND, FIRST = 0, 1, 2
-"""Indices of a hit; surfaces are numbered from `FIRST` in the order of `surface_table`."""
+"""Indices of a hit; surfaces are numbered from `FIRST` in the order of `surfaces`."""
 NEAR = 0.2
 """Boxes are cut at this camera-z (metres) before they are projected."""
 
@@ -37,12 +37,12 @@ class Hits(NamedTuple):
     """(H, W) uint16."""
 
 
-def surface_table(shapes: list[Prism | Quadric]) -> list[tuple[Prism | Quadric, int]]:
-    """The solid and face of each surface index from `FIRST` on."""
-    return [(shape, face) for shape in shapes for face in range(len(shape.surfaces))]
+def surfaces(shapes: list[Solid]) -> list[tuple[Solid, Surface]]:
+    """The solid and surface of each index from `FIRST` on."""
+    return [(shape, surface) for shape in shapes for surface in shape.surfaces]
 
 
-def cast(shapes: list[Prism | Quadric], rays: Rays) -> Hits:
+def cast(shapes: list[Solid], rays: Rays) -> Hits:
     """Find the first hit of each ray."""
     rotation, origin = rays.pose[:3, :3], rays.pose[:3, 3]
     ground = _affine(rotation[1] / -origin[1], rays.x, rays.y)
@@ -69,7 +69,7 @@ def _affine(form: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return a * x + (b * y + c)
 
 
-def _windows(shapes: list[Prism | Quadric], rays: Rays) -> tuple[list[tuple[slice, slice] | None], np.ndarray]:
+def _windows(shapes: list[Solid], rays: Rays) -> tuple[list[tuple[slice, slice] | None], np.ndarray]:
     """Rows and columns of the rays that may meet each solid's box, None where there are none; and the boxes' greatest nearness."""
     corners = np.stack([shape.corners for shape in shapes]) - rays.pose[:3, 3]
     corners = corners @ rays.pose[:3, :3]  # (N, 8, 3) in the camera frame

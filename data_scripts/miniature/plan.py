@@ -9,7 +9,7 @@ import numpy as np
 
 from data_scripts.miniature import formats
 from data_scripts.miniature.drives import CAMERA_HEIGHT, PERIOD, Drive, camera_pose, drive
-from data_scripts.miniature.frames import Shot
+from data_scripts.miniature.render import Shot
 from data_scripts.miniature.street import Plan, build_street
 from dualdepth.settings import World
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from data_scripts.miniature.solids import Prism, Quadric
+from data_scripts.miniature.solids import Prism, Solid
 from data_scripts.miniature.street import Street
 
 SUN = np.array([0.55, -0.75, -0.36]) / np.linalg.norm([0.55, -0.75, -0.36])
@@ -32,7 +32,7 @@ class Shadows:
         return cv2.remap(self.sunlight, column[None], row[None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=1.0)[0]
 
 
-def cast_shadows(street: Street, shapes: list[Prism | Quadric]) -> Shadows:
+def cast_shadows(street: Street, shapes: list[Solid]) -> Shadows:
     """Project each solid along the sun's rays onto the ground and blur the edges to a penumbra."""
     corner = street.points.min(0) - REACH
     columns, rows = np.ceil((np.ptp(street.points, axis=0) + 2 * REACH) / CELL).astype(int)
@@ -48,7 +48,7 @@ def cast_shadows(street: Street, shapes: list[Prism | Quadric]) -> Shadows:
     return Shadows(corner, cv2.GaussianBlur(drawing.astype(np.float32) / 255, (0, 0), 1.2))
 
 
-def _outline(shape: Prism | Quadric) -> np.ndarray:
+def _outline(shape: Solid) -> np.ndarray:
     """(N, 3) points whose hull is the solid, or for round ones nearly so."""
     if isinstance(shape, Prism):
         return shape.corners

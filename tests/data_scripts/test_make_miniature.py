@@ -11,8 +11,8 @@ from scipy.io import loadmat
 
 from data_scripts import make_miniature
 from data_scripts.miniature import formats
-from data_scripts.miniature.frames import grid_intrinsics
 from data_scripts.miniature.plan import plan_world
+from data_scripts.miniature.render import grid_intrinsics
 from dualdepth.data import kitti
 from dualdepth.data.lidar import ground_truth
 from dualdepth.errors import InputError
