@@ -53,8 +53,7 @@ def main(argv: Sequence[str] | None = None, *, home: str = MAKE3D_HOME) -> None:
     given = parser.parse_args(argv)
     with exit_on_input_error():
         check_writable(given.root)
-        mend = "if you have Make3D, give MAKE3D_ROOT"
-        fetched = download(MAKE3D, given.root, home, check=check_content, keep_archives=given.keep_archives, if_offline=mend)
+        fetched = download(MAKE3D, given.root, home, check=check_content, keep_archives=given.keep_archives)
         find_pairs(given.root)
         print(f"{MAKE3D_PHOTOS} photos with their grids, {fetched} of {len(MAKE3D)} archives unpacked now")
         print(f"MAKE3D_ROOT={given.root}")

@@ -86,7 +86,6 @@ def _train_drive(world: World, work: Work, number: int) -> None:
     work.shots += shots
     work.lists["train_drives"].append(f"{day}/{name}")
     work.lists["static_frames"] += [f"{day} {name} {k:010d}" for k in np.flatnonzero(ride.standing)]
-    work.lists["laser_train_files"] += [f"{day}/{name} {k:010d} l" for k in sorted(scanned)]
 
 
 def _test_drive(world: World, work: Work, number: int) -> None:

@@ -113,7 +113,9 @@ def test_no_network_is_told_with_the_mend(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "PAUSES", (0.0, 0.0))
     with socket.socket() as taken:  # bound and never listening: refuses connections
         taken.bind(("127.0.0.1", 0))
-        with pytest.raises(InputError, match=r"no network: .* cannot be reached .* if you have KITTI, give KITTI_ROOT"):
+        with pytest.raises(
+            InputError, match=r"no network: .* cannot be reached .* if you have the data set, give its folder as KITTI_ROOT"
+        ):
             remote_size(f"http://127.0.0.1:{taken.getsockname()[1]}/file")
 
 
