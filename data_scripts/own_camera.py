@@ -16,8 +16,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from data_scripts.own import dataset
-from data_scripts.own.camera import MOST_BOARDS, Camera, calibrate, camera_of_field, camera_of_file, camera_of_numbers, straightener
+from data_scripts.own.camera import MOST_BOARDS, calibrate, camera_of_field, camera_of_file, camera_of_numbers, record, straightener
 from data_scripts.own.checks import examine, hold_out
+from dualdepth.data.camera import Camera
 from dualdepth.data.frames import Footage
 from dualdepth.errors import InputError, exit_on_input_error
 from dualdepth.files import file_digest, locked, short_digest, write_json, write_text
@@ -93,7 +94,7 @@ def write(
         InputError: a check fails, or too little is left to train on.
     """
     hr_size = dataset.fitting_size(camera.size)
-    film = examine(footages, camera.matrix[0, 0] / camera.size[1], stride)
+    film = examine(footages, camera.fx / camera.size[1], stride)
     failed = [f"{check}: {said}" for check, said in film.checks.items() if said]
     if failed and not (anyway and film.drives):
         more = f" (--anyway makes the data set all the same; {len(failed)} of {len(film.checks)} checks failed)" if film.drives else ""
@@ -113,9 +114,9 @@ def write(
     ]
     drives[-1]["held_out"] = True
     found = {check: f"FAILED: {said}" if said else "passed" for check, said in film.checks.items()}
-    record = {"camera": camera.record()} | ({"undistorted_to": used.record()} if straighten else {})
-    record |= {"hr_size": list(hr_size), "triplets": triplets, "stride": film.stride, "frames": film.counts}
-    return record | {"median_motion": film.medians, "checks": found, "drives": drives}
+    said = {"camera": record(camera)} | ({"undistorted_to": record(used)} if straighten else {})
+    said |= {"hr_size": list(hr_size), "triplets": triplets, "stride": film.stride, "frames": film.counts}
+    return said | {"median_motion": film.medians, "checks": found, "drives": drives}
 
 
 def camera_of(

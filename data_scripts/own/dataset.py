@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 from tqdm import tqdm
 
-from data_scripts.own.camera import Camera
 from data_scripts.own.checks import Drive
+from dualdepth.data.camera import Camera
 from dualdepth.data.frames import Footage
 from dualdepth.data.kitti import SUFFIXES
 from dualdepth.errors import InputError, reading
