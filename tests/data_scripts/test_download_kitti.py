@@ -94,15 +94,6 @@ def test_a_disk_that_is_too_small_or_a_missing_archive_is_told_before_anything_i
     assert server.sent == [] and files(tmp_path) == []
 
 
-def test_a_bad_archive_is_refused_and_comes_anew_the_next_time(server, tmp_path, refused):
-    good = server.files[DRIVE_ADDRESS]
-    server.files[DRIVE_ADDRESS] = good.replace(b"laser scan", b"laser SCAN")
-    assert "Bad CRC-32" in refused(run, server, tmp_path, DRIVE)
-    assert files(tmp_path) == [f"{DAY}/.calib.complete.json", f"{DAY}/calib_cam_to_cam.txt"]
-    server.files[DRIVE_ADDRESS] = good
-    run(server, tmp_path, DRIVE)
-
-
 def test_odometry_is_laid_out_as_odometry_root_and_depth_below_its_own_folder(server, tmp_path, monkeypatch):
     server.files["data_odometry_poses.zip"] = zip_of({"dataset/poses/09.txt": b"1"})
     server.files["data_odometry_calib.zip"] = zip_of({"dataset/sequences/09/calib.txt": b"P2: 1"})

@@ -52,10 +52,11 @@ def test_both_archives_are_laid_out_as_make3d_root_however_they_nest(server, tmp
     assert server.requests == []
 
 
-def test_archives_with_other_files_are_refused_and_come_anew_the_next_time(server, tmp_path, refused):
-    good, server.files[PHOTOS] = server.files[PHOTOS], photos("a")
-    assert "Test134.tar.gz: holds 1 files img-*.jpg, expected 3" in refused(run, server, tmp_path)
-    assert not (tmp_path / "archives" / PHOTOS).exists()
+def test_archives_with_other_files_or_damaged_ones_are_refused_and_come_anew_the_next_time(server, tmp_path, refused):
+    good = server.files[PHOTOS]
+    for bad, said in ((photos("a"), "holds 1 files img-*.jpg, expected 3"), (good[:-9], "not a whole zip or gzipped tar archive")):
+        server.files[PHOTOS] = bad
+        assert f"Test134.tar.gz: {said}" in refused(run, server, tmp_path) and files(tmp_path) == []
     server.files[PHOTOS] = good
     run(server, tmp_path)
     assert len(files(tmp_path)) == 8
