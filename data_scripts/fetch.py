@@ -5,6 +5,7 @@ once it is whole and its checksum, where one is known, is right. A broken connec
 """
 
 import errno
+import functools
 import hashlib
 import http.client
 import shutil
@@ -67,15 +68,11 @@ def fetch(address: str, path: str | Path, *, digest: str | None = None, bar: tqd
             raise InputError(f"{path}: {wrong}; it differs from {address}; delete it to have it downloaded again")
         return path
     partial, mark = path.with_name(f"{path.name}.part"), path.with_name(f"{path.name}.part.etag")
-    others = bar.n - part_size(path) if bar is not None else 0
-
-    def tell(size: int) -> None:
-        if bar is not None:
-            bar.update(others + size - bar.n)
-
+    bar = bar if bar is not None else tqdm(disable=True)
+    others, mend = bar.n - part_size(path), f"or put it at {path} yourself"
     try:
-        mend = f"or put it at {path} yourself"
-        _with_retries(lambda: _transfer(address, partial, mark, tell), address, mend, lambda: part_size(path))
+        transfer = functools.partial(_transfer, address, partial, mark, lambda size: bar.update(others + size - bar.n))
+        _with_retries(transfer, address, mend, lambda: part_size(path))
         if wrong := _wrong_checksum(partial, digest):
             partial.unlink()
             raise InputError(f"{partial}: {wrong}; the download is deleted; run again")

@@ -51,11 +51,9 @@ def cast(shapes: list[Solid], rays: Rays) -> Hits:
     first = FIRST + np.cumsum([0, *(len(shape.surfaces) for shape in shapes[:-1])])
     windows, nearest = _windows(shapes, rays)
     for k in np.argsort(-nearest, kind="stable"):  # front to back, since what is hidden as a whole costs nothing more
-        if windows[k] is None:
-            continue
         rows, columns = windows[k]
         part = Hits(nearness[rows, columns], index[rows, columns])
-        if part.nearness.min() >= nearest[k]:
+        if part.nearness.min(initial=np.inf) >= nearest[k]:
             continue
         y = rays.y[rows] if rays.y.shape[1] == 1 else rays.y[rows, columns]
         add = _cast_prism if isinstance(shapes[k], Prism) else _cast_quadric
@@ -69,8 +67,8 @@ def _affine(form: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return a * x + (b * y + c)
 
 
-def _windows(shapes: list[Solid], rays: Rays) -> tuple[list[tuple[slice, slice] | None], np.ndarray]:
-    """Rows and columns of the rays that may meet each solid's box, None where there are none; and the boxes' greatest nearness."""
+def _windows(shapes: list[Solid], rays: Rays) -> tuple[list[tuple[slice, slice]], np.ndarray]:
+    """Rows and columns of the rays that may meet each solid's box; and the boxes' greatest nearness."""
     corners = np.stack([shape.corners for shape in shapes]) - rays.pose[:3, 3]
     corners = corners @ rays.pose[:3, :3]  # (N, 8, 3) in the camera frame
     i, j = np.triu_indices(8, 1)
@@ -92,7 +90,7 @@ def _windows(shapes: list[Solid], rays: Rays) -> tuple[list[tuple[slice, slice] 
     boxes = zip(top, bottom, left, right)
     depth = corners[..., 2].min(1)
     nearest = np.where(depth > NEAR, 1 / np.maximum(depth, NEAR), np.inf)
-    return [(slice(t, b), slice(lo, hi)) if t < b and lo < hi else None for t, b, lo, hi in boxes], nearest
+    return [(slice(t, b), slice(lo, hi)) for t, b, lo, hi in boxes], nearest
 
 
 def _cast_prism(shape: Prism, first: int, rotation, origin, x, y, part: Hits) -> None:

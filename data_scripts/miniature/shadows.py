@@ -41,8 +41,6 @@ def cast_shadows(street: Street, shapes: list[Solid]) -> Shadows:
         ground = _outline(shape)
         ground = ground[:, [0, 2]] - ground[:, 1:2] * (SUN[[0, 2]] / SUN[1])
         cells = (ground - corner) / CELL
-        if (cells.max(0) < 0).any() or (cells.min(0) > [columns, rows]).any():
-            continue
         hull = cv2.convexHull(np.round(cells * 16).astype(np.int32))
         cv2.fillConvexPoly(drawing, hull, 120, lineType=cv2.LINE_AA, shift=4)
     return Shadows(corner, cv2.GaussianBlur(drawing.astype(np.float32) / 255, (0, 0), 1.2))
