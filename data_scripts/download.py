@@ -6,12 +6,12 @@ import json
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from tqdm import tqdm
 
 from data_scripts.archives import BadArchiveError, unpack
-from data_scripts.fetch import IF_OFFLINE, fetch, gigabytes, part_size, remote_size, require_space
+from data_scripts.fetch import fetch, gigabytes, part_size, remote_size, require_space
 from data_scripts.sources import CAMERAS, Archive
 from dualdepth.errors import InputError
 from dualdepth.files import write_json
@@ -36,14 +36,14 @@ def unpacked_cameras(archive: Archive, root: Path) -> set[str] | None:
         return None
 
 
-def plan(archives: Sequence[Archive], root: Path, home: str, keep_archives: bool, if_offline: str) -> tuple[int, int]:
+def plan(archives: Sequence[Archive], root: Path, home: str, keep_archives: bool) -> tuple[int, int]:
     """Ask the sizes, say what is to come, check the disk; returns the bytes of all the archives, and how many of them are to come.
 
     Raises:
         InputError: an archive does not exist, no network, or the disk is too small.
     """
     asked = progress(iterable=archives, desc="asking for sizes", unit="archive", leave=False)
-    sizes = [remote_size(home + archive.address, if_offline) for archive in asked]
+    sizes = [remote_size(home + archive.address) for archive in asked]
     left = [max(0, size - part_size(root / "archives" / archive.name)) for archive, size in zip(archives, sizes)]
     unpacked = UNPACKED * sum(sizes)
     # Archives that are deleted in turn never lie on the disk together.
@@ -62,7 +62,6 @@ def download(
     cameras: Sequence[str] = CAMERAS,
     check: Check = lambda *_: {},
     keep_archives: bool = False,
-    if_offline: str = IF_OFFLINE,
 ) -> int:
     """Download and unpack into `root` what is not there yet, and return the number of archives that were missing.
 
@@ -72,7 +71,6 @@ def download(
         archives, root, home: all that is wanted, the folder to fill, and the address that theirs are relative to.
         cameras, check: what to unpack, and how to look at what came.
         keep_archives: in `root/archives`; else each goes once unpacked.
-        if_offline: the mend that the message names when there is no network.
 
     Raises:
         InputError: no network, no such archive, a damaged one, or a disk that is too small.
@@ -81,12 +79,12 @@ def download(
     pending = [archive for archive, there in before.items() if there is None or (archive.images and not set(cameras) <= there)]
     if not pending:
         return 0
-    total, left = plan(pending, root, home, keep_archives, if_offline)
+    total, left = plan(pending, root, home, keep_archives)
     with progress(total=total, initial=total - left, unit="B", unit_scale=True) as bar:
         for number, archive in enumerate(pending, 1):
             bar.set_description(f"{number}/{len(pending)} {archive.name}")
             path = root / "archives" / archive.name
-            fetch(home + archive.address, path, digest=archive.digest, bar=bar, if_offline=if_offline)
+            fetch(home + archive.address, path, digest=archive.digest, bar=bar)
             place, look = functools.partial(archive.place, cameras=cameras), functools.partial(check, archive, path)
             try:
                 with progress(desc=f"unpacking {archive.name}", unit="B", unit_scale=True, leave=False, position=1) as unpacking:
@@ -103,10 +101,10 @@ def download(
     return len(pending)
 
 
-def run_script(main: Callable[[], int]) -> NoReturn:
-    """End the process as `main` does; who stops it is told that the same command goes on."""
+def run_script(main: Callable[[], None]) -> None:
+    """Run `main`; who stops it is told that the same command goes on."""
     try:
-        sys.exit(main())
+        main()
     except KeyboardInterrupt:
         print("stopped; run the same command again to go on", file=sys.stderr)
         sys.exit(130)

@@ -24,8 +24,8 @@ from dualdepth.files import check_writable
 from dualdepth.profile import load_profile
 
 
-def main(argv: Sequence[str] | None = None, *, kitti_home: str = sources.KITTI_HOME, lists_home: str = sources.LISTS_HOME) -> int:
-    """Run the command line; 0 when everything is there. Other homes than the public ones are for tests.
+def main(argv: Sequence[str] | None = None, *, kitti_home: str = sources.KITTI_HOME, lists_home: str = sources.LISTS_HOME) -> None:
+    """Run the command line. Other homes than the public ones are for tests.
 
     Raises:
         SystemExit: code 2, after one line on stderr, for bad input, a failed download, a full disk.
@@ -56,7 +56,7 @@ def main(argv: Sequence[str] | None = None, *, kitti_home: str = sources.KITTI_H
                 sources.named_list(name, lists, lists_home)
             print(f"{len(sources.LISTS)} lists in {lists}")
         if given.lists_only:
-            return 0
+            return
         if data:
             drives += sources.profile_drives(data, sources.profile_lists(data, lists, lists_home))
         archives = sources.drive_archives(drives) + list(sources.ODOMETRY) * given.odometry
@@ -66,7 +66,6 @@ def main(argv: Sequence[str] | None = None, *, kitti_home: str = sources.KITTI_H
         homes = {f"KITTI_ROOT={root}": drives, f"ODOMETRY_ROOT={root / 'odometry'}": given.odometry}
         homes |= {f"improved ground truth: {root / 'depth_annotated'}": given.improved_depth}
         print("\n".join(home for home, there in homes.items() if there))
-    return 0
 
 
 if __name__ == "__main__":

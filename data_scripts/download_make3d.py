@@ -16,7 +16,7 @@ from typing import Any
 from data_scripts.archives import BadArchiveError
 from data_scripts.download import download, progress, run_script
 from data_scripts.sources import MAKE3D, MAKE3D_HOME, Archive
-from dualdepth.data.make3d import MAKE3D_PHOTOS, find_pairs, is_truncated, read_grid, read_photo
+from dualdepth.data.make3d import MAKE3D_PHOTOS, find_pairs, read_grid, read_photo
 from dualdepth.errors import InputError, exit_on_input_error
 from dualdepth.files import check_writable, file_digest
 
@@ -25,7 +25,7 @@ def check_content(archive: Archive, path: Path, folder: Path) -> dict[str, Any]:
     """Read every file that an archive brought, as the evaluation will.
 
     Returns:
-        For the marker: `sha256` of the archive, and `truncated`, the names of photos that lack their end.
+        For the marker: `sha256` of the archive.
 
     Raises:
         BadArchiveError: there are not 134 of them, or one cannot be read.
@@ -38,11 +38,11 @@ def check_content(archive: Archive, path: Path, folder: Path) -> dict[str, Any]:
             (read_grid if file.suffix == ".mat" else read_photo)(file)
     except InputError as error:
         raise BadArchiveError(str(error)) from None
-    return {"sha256": file_digest(path), "truncated": [file.name for file in files if is_truncated(file)]}
+    return {"sha256": file_digest(path)}
 
 
-def main(argv: Sequence[str] | None = None, *, home: str = MAKE3D_HOME) -> int:
-    """Run the command line; 0 when everything is there. Another home than the public one is for tests.
+def main(argv: Sequence[str] | None = None, *, home: str = MAKE3D_HOME) -> None:
+    """Run the command line. Another home than the public one is for tests.
 
     Raises:
         SystemExit: code 2, after one line on stderr, for a failed download, a damaged archive, a full disk, or photos without grids.
@@ -53,12 +53,10 @@ def main(argv: Sequence[str] | None = None, *, home: str = MAKE3D_HOME) -> int:
     given = parser.parse_args(argv)
     with exit_on_input_error():
         check_writable(given.root)
-        mend = "if you have Make3D, give MAKE3D_ROOT"
-        fetched = download(MAKE3D, given.root, home, check=check_content, keep_archives=given.keep_archives, if_offline=mend)
+        fetched = download(MAKE3D, given.root, home, check=check_content, keep_archives=given.keep_archives)
         find_pairs(given.root)
         print(f"{MAKE3D_PHOTOS} photos with their grids, {fetched} of {len(MAKE3D)} archives unpacked now")
         print(f"MAKE3D_ROOT={given.root}")
-    return 0
 
 
 if __name__ == "__main__":

@@ -7,7 +7,6 @@ The default is the laser's forward coordinate, as in all published numbers on th
 """
 
 import argparse
-import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -73,8 +72,8 @@ def export_frames(
     return save_ground_truth(out, maps(), (f"{number:06d}" for number in present))
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Run the command line; 0 when the file is written.
+def main(argv: list[str] | None = None) -> None:
+    """Run the command line.
 
     Raises:
         SystemExit: code 2, after one line on stderr, for bad input.
@@ -94,8 +93,7 @@ def main(argv: list[str] | None = None) -> int:
         options = vars(arguments)
         count = export_frames(read_frame_list(options.pop("list")), **options)
         print(f"{arguments.out}: {count} depth maps")
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

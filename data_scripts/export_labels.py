@@ -9,7 +9,6 @@ import argparse
 import hashlib
 import json
 import re
-import sys
 from collections.abc import Iterator, Sequence
 from itertools import groupby, islice
 from pathlib import Path
@@ -159,8 +158,8 @@ def height_width(text: str) -> tuple[int, int]:
     return int(match[1]), int(match[2])
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Run the command line; 0 when the maps are written.
+def main(argv: list[str] | None = None) -> None:
+    """Run the command line.
 
     Raises:
         SystemExit: code 2, after one line on stderr, for bad input.
@@ -199,8 +198,7 @@ def main(argv: list[str] | None = None) -> int:
             raise InputError(f"{given.out}: cannot write the label maps ({error.strerror or error})") from None
         there = len(images) - len(wanted)
         print(f"{given.out}: {len(wanted)} label maps written" + f", {there} were there" * bool(there))
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

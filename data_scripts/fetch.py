@@ -5,6 +5,7 @@ once it is whole and its checksum, where one is known, is right. A broken connec
 """
 
 import errno
+import functools
 import hashlib
 import http.client
 import shutil
@@ -30,7 +31,6 @@ TIMEOUT = 30.0
 PAUSES = (1.0, 2.0, 5.0, 10.0, 30.0)
 """Seconds before each new attempt; attempts are counted anew whenever bytes came."""
 BROKEN = (urllib.error.URLError, ConnectionError, TimeoutError, http.client.HTTPException)
-IF_OFFLINE = "if you have KITTI, give KITTI_ROOT"
 
 
 class _NoRedirect(urllib.request.HTTPRedirectHandler):
@@ -38,26 +38,26 @@ class _NoRedirect(urllib.request.HTTPRedirectHandler):
         raise InputError(f"{req.full_url}: redirects to {newurl}, which is not followed; the public address may have moved")
 
 
-def remote_size(address: str, if_offline: str = IF_OFFLINE) -> int:
+def remote_size(address: str) -> int:
     """Size in bytes that the server announces for a file, without downloading it.
 
     Raises:
         InputError: no network, no such file, or a server that does not say.
     """
-    with _with_retries(lambda: _open(address, method="HEAD"), address, if_offline) as response:
+    mend = "if you have the data set, give its folder as KITTI_ROOT, ODOMETRY_ROOT or MAKE3D_ROOT"
+    with _with_retries(lambda: _open(address, method="HEAD"), address, mend) as response:
         size = response.headers["Content-Length"]
     if size is None:
         raise InputError(f"{address}: the server does not say how large the file is; try again later")
     return int(size)
 
 
-def fetch(address: str, path: str | Path, *, digest: str | None = None, bar: tqdm | None = None, if_offline: str = IF_OFFLINE) -> Path:
+def fetch(address: str, path: str | Path, *, digest: str | None = None, bar: tqdm | None = None) -> Path:
     """Download `address` to `path`, going on from an earlier `.part`; a file that is already at `path` is only verified.
 
     Args:
         digest: `sha256:<hex>` or `md5:<hex>` of the whole file, where it is known.
         bar: counts the bytes that the `.part` grows by (a restart counts back).
-        if_offline: the mend that the message names when there is no network.
 
     Raises:
         InputError: no network, no such file, a wrong checksum (the download is then deleted), a full disk.
@@ -68,14 +68,11 @@ def fetch(address: str, path: str | Path, *, digest: str | None = None, bar: tqd
             raise InputError(f"{path}: {wrong}; it differs from {address}; delete it to have it downloaded again")
         return path
     partial, mark = path.with_name(f"{path.name}.part"), path.with_name(f"{path.name}.part.etag")
-    others = bar.n - part_size(path) if bar is not None else 0
-
-    def tell(size: int) -> None:
-        if bar is not None:
-            bar.update(others + size - bar.n)
-
+    bar = bar if bar is not None else tqdm(disable=True)
+    others, mend = bar.n - part_size(path), f"or put it at {path} yourself"
     try:
-        _with_retries(lambda: _transfer(address, partial, mark, tell), address, if_offline, lambda: part_size(path))
+        transfer = functools.partial(_transfer, address, partial, mark, lambda size: bar.update(others + size - bar.n))
+        _with_retries(transfer, address, mend, lambda: part_size(path))
         if wrong := _wrong_checksum(partial, digest):
             partial.unlink()
             raise InputError(f"{partial}: {wrong}; the download is deleted; run again")
@@ -192,7 +189,7 @@ def _version(response: http.client.HTTPResponse) -> str:
     return etag if etag and not etag.startswith("W/") else (response.headers["Last-Modified"] or "")
 
 
-def _with_retries(action: Callable[[], Any], address: str, if_offline: str, progress: Callable[[], int] = lambda: 0) -> Any:
+def _with_retries(action: Callable[[], Any], address: str, mend: str, progress: Callable[[], int] = lambda: 0) -> Any:
     """The result of `action`, tried again with growing pauses while connections break; bytes that came reset the count."""
     failures, before = 0, progress()
     while True:
@@ -209,7 +206,7 @@ def _with_retries(action: Callable[[], Any], address: str, if_offline: str, prog
                 if isinstance(error, urllib.error.HTTPError):
                     raise InputError(f"{address}: the server fails (HTTP {error.code}); try again later") from None
                 if isinstance(error, urllib.error.URLError):
-                    raise InputError(f"no network: {address} cannot be reached ({reason}); {if_offline}") from None
+                    raise InputError(f"no network: {address} cannot be reached ({reason}); {mend}") from None
                 kept = f"run again, it goes on after {gigabytes(before)}"
                 raise InputError(f"{address}: the connection keeps breaking ({error}); {kept}") from None
             time.sleep(PAUSES[failures - 1])

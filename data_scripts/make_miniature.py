@@ -14,15 +14,14 @@ import json
 import multiprocessing
 import os
 import shutil
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
 from tqdm import tqdm
 
-from data_scripts.miniature.frames import Shot, write_shot
 from data_scripts.miniature.plan import plan_world
+from data_scripts.miniature.render import Shot, write_shot
 from dualdepth.errors import InputError, exit_on_input_error
 from dualdepth.files import locked, write_json, write_text
 from dualdepth.profile import load_profile
@@ -92,7 +91,7 @@ def _render(shots: list[Shot], processes: int | None) -> None:
             pass
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--profile", default="miniature", help="profile with a section `world`: tiny, miniature, or a YAML file")
@@ -105,8 +104,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         out = given.out or REPOSITORY / "work" / settings.name / "miniature"
         make_world(settings.world, out)
         print(f"world: {out}")
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -11,14 +11,14 @@ import argparse
 import json
 import re
 import shutil
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from data_scripts.own import dataset
-from data_scripts.own.camera import MOST_BOARDS, Camera, calibrate, camera_of_field, camera_of_file, camera_of_numbers, straightener
+from data_scripts.own.camera import MOST_BOARDS, calibrate, camera_of_field, camera_of_file, camera_of_numbers, record, straightener
 from data_scripts.own.checks import examine, hold_out
+from dualdepth.data.camera import Camera
 from dualdepth.data.frames import Footage
 from dualdepth.errors import InputError, exit_on_input_error
 from dualdepth.files import file_digest, locked, short_digest, write_json, write_text
@@ -94,7 +94,7 @@ def write(
         InputError: a check fails, or too little is left to train on.
     """
     hr_size = dataset.fitting_size(camera.size)
-    film = examine(footages, camera.matrix[0, 0] / camera.size[1], stride)
+    film = examine(footages, camera.fx / camera.size[1], stride)
     failed = [f"{check}: {said}" for check, said in film.checks.items() if said]
     if failed and not (anyway and film.drives):
         more = f" (--anyway makes the data set all the same; {len(failed)} of {len(film.checks)} checks failed)" if film.drives else ""
@@ -114,9 +114,9 @@ def write(
     ]
     drives[-1]["held_out"] = True
     found = {check: f"FAILED: {said}" if said else "passed" for check, said in film.checks.items()}
-    record = {"camera": camera.record()} | ({"undistorted_to": used.record()} if straighten else {})
-    record |= {"hr_size": list(hr_size), "triplets": triplets, "stride": film.stride, "frames": film.counts}
-    return record | {"median_motion": film.medians, "checks": found, "drives": drives}
+    said = {"camera": record(camera)} | ({"undistorted_to": record(used)} if straighten else {})
+    said |= {"hr_size": list(hr_size), "triplets": triplets, "stride": film.stride, "frames": film.counts}
+    return said | {"median_motion": film.medians, "checks": found, "drives": drives}
 
 
 def camera_of(
@@ -167,7 +167,7 @@ def summary(made: Made) -> str:
     return "\n".join(lines)
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: list[str] | None = None) -> None:
     """Run the command line."""
     parser = argparse.ArgumentParser(description="Make a data set of your own camera that the notebooks train on.")
     add = parser.add_argument
@@ -185,8 +185,7 @@ def main(argv: list[str] | None = None) -> int:
     arguments = vars(parser.parse_args(argv))
     with exit_on_input_error():
         print(summary(make(arguments.pop("inputs"), arguments.pop("out"), **arguments)))
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

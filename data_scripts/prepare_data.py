@@ -8,7 +8,6 @@ Every frame is decoded once, so that a broken one is known before a training beg
 import argparse
 import itertools
 import os
-import sys
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -201,7 +200,7 @@ def check_separate(train: Iterable[str], test: Iterable[str], what: str, allow_l
         raise InputError(f"{what} {', '.join(shared)} are both trained on and scored: {mend}")
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: list[str] | None = None) -> None:
     """Run the command line."""
     parser = argparse.ArgumentParser(description="Find or make a profile's data and prepare them.")
     parser.add_argument("--profile", default="miniature", help="tiny, miniature, sample, paper, own, or a YAML file (default: %(default)s)")
@@ -212,8 +211,7 @@ def main(argv: list[str] | None = None) -> int:
         find_data(run, **{name: getattr(arguments, name) for name in (*ROOTS, "allow_leak")})
         done = prepare(run)
         print(f"{run.prepared}: {done.triplets} triplets, {done.scored} of {done.listed} frames to score")
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

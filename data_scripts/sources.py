@@ -66,8 +66,7 @@ def named_list(name: str, cache_dir: str | Path, home: str = LISTS_HOME) -> Path
     """
     path = Path(cache_dir) / f"{name}.txt"
     if name in LISTS:
-        mend = f"else put the list at {path} yourself"
-        return fetch(home + LISTS[name].path, path, digest=f"sha256:{LISTS[name].sha256}", if_offline=mend)
+        return fetch(home + LISTS[name].path, path, digest=f"sha256:{LISTS[name].sha256}")
     if name in DERIVED:
         origin, drives = DERIVED[name]
         lines = named_list(origin, cache_dir, home).read_text(encoding="utf-8").splitlines(keepends=True)

@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from data_scripts.miniature.solids import Prism, Quadric
+from data_scripts.miniature.solids import Prism, Quadric, Solid, Surface
 
 SKY, GROUND, FIRST = 0, 1, 2
-"""Indices of a hit; surfaces are numbered from `FIRST` in the order of `surface_table`."""
+"""Indices of a hit; surfaces are numbered from `FIRST` in the order of `surfaces`."""
 NEAR = 0.2
 """Boxes are cut at this camera-z (metres) before they are projected."""
 
@@ -37,12 +37,12 @@ class Hits(NamedTuple):
     """(H, W) uint16."""
 
 
-def surface_table(shapes: list[Prism | Quadric]) -> list[tuple[Prism | Quadric, int]]:
-    """The solid and face of each surface index from `FIRST` on."""
-    return [(shape, face) for shape in shapes for face in range(len(shape.surfaces))]
+def surfaces(shapes: list[Solid]) -> list[tuple[Solid, Surface]]:
+    """The solid and surface of each index from `FIRST` on."""
+    return [(shape, surface) for shape in shapes for surface in shape.surfaces]
 
 
-def cast(shapes: list[Prism | Quadric], rays: Rays) -> Hits:
+def cast(shapes: list[Solid], rays: Rays) -> Hits:
     """Find the first hit of each ray."""
     rotation, origin = rays.pose[:3, :3], rays.pose[:3, 3]
     ground = _affine(rotation[1] / -origin[1], rays.x, rays.y)
@@ -51,11 +51,9 @@ def cast(shapes: list[Prism | Quadric], rays: Rays) -> Hits:
     first = FIRST + np.cumsum([0, *(len(shape.surfaces) for shape in shapes[:-1])])
     windows, nearest = _windows(shapes, rays)
     for k in np.argsort(-nearest, kind="stable"):  # front to back, since what is hidden as a whole costs nothing more
-        if windows[k] is None:
-            continue
         rows, columns = windows[k]
         part = Hits(nearness[rows, columns], index[rows, columns])
-        if part.nearness.min() >= nearest[k]:
+        if part.nearness.min(initial=np.inf) >= nearest[k]:
             continue
         y = rays.y[rows] if rays.y.shape[1] == 1 else rays.y[rows, columns]
         add = _cast_prism if isinstance(shapes[k], Prism) else _cast_quadric
@@ -69,8 +67,8 @@ def _affine(form: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return a * x + (b * y + c)
 
 
-def _windows(shapes: list[Prism | Quadric], rays: Rays) -> tuple[list[tuple[slice, slice] | None], np.ndarray]:
-    """Rows and columns of the rays that may meet each solid's box, None where there are none; and the boxes' greatest nearness."""
+def _windows(shapes: list[Solid], rays: Rays) -> tuple[list[tuple[slice, slice]], np.ndarray]:
+    """Rows and columns of the rays that may meet each solid's box; and the boxes' greatest nearness."""
     corners = np.stack([shape.corners for shape in shapes]) - rays.pose[:3, 3]
     corners = corners @ rays.pose[:3, :3]  # (N, 8, 3) in the camera frame
     i, j = np.triu_indices(8, 1)
@@ -92,7 +90,7 @@ def _windows(shapes: list[Prism | Quadric], rays: Rays) -> tuple[list[tuple[slic
     boxes = zip(top, bottom, left, right)
     depth = corners[..., 2].min(1)
     nearest = np.where(depth > NEAR, 1 / np.maximum(depth, NEAR), np.inf)
-    return [(slice(t, b), slice(lo, hi)) if t < b and lo < hi else None for t, b, lo, hi in boxes], nearest
+    return [(slice(t, b), slice(lo, hi)) for t, b, lo, hi in boxes], nearest
 
 
 def _cast_prism(shape: Prism, first: int, rotation, origin, x, y, part: Hits) -> None:

@@ -6,12 +6,12 @@ supersampling cannot resolve does not flicker from frame to frame.
 
 import numpy as np
 
-from data_scripts.miniature.cast import FIRST, GROUND, SKY, Hits, Rays
+from data_scripts.miniature.cast import FIRST, GROUND, SKY, Hits, Rays, surfaces
 from data_scripts.miniature.ground import ground_colour
 from data_scripts.miniature.noise import BLOTCH, GRAIN, fade, noise
 from data_scripts.miniature.scene import Scene
 from data_scripts.miniature.shadows import SUN
-from data_scripts.miniature.solids import Prism, Quadric, Surface
+from data_scripts.miniature.solids import Quadric, Solid, Surface
 
 CHUNK = 16384
 """Rays coloured at a time: they fit a core's cache, and OpenCV's lookups take at most 32,767."""
@@ -22,18 +22,18 @@ AMBIENT, DIRECT = 0.6, 0.5
 """Light from the sky, and from the sun at normal incidence."""
 
 
-def shade(scene: Scene, table: list[tuple[Prism | Quadric, int]], rays: Rays, hits: Hits) -> np.ndarray:
+def shade(scene: Scene, shapes: list[Solid], rays: Rays, hits: Hits) -> np.ndarray:
     """Colour of each ray.
 
     Args:
         scene: gives ground, sky and sun.
-        table: solid and face of each surface index, from `surface_table`.
+        shapes: the solids that were hit.
         rays, hits: of shape (H, W).
 
     Returns:
         (3, H, W) float32 RGB, 0..1.
     """
-    index, nearness = hits.index.ravel(), hits.nearness.ravel()
+    index, nearness, table = hits.index.ravel(), hits.nearness.ravel(), surfaces(shapes)
     x, y = (np.broadcast_to(a, hits.index.shape).ravel() for a in (rays.x, rays.y))
     rotation, origin = rays.pose[:3, :3].astype(np.float32), rays.pose[:3, 3]
     focal = 1 / float(rays.x[0, 1] - rays.x[0, 0])
@@ -55,7 +55,7 @@ def shade(scene: Scene, table: list[tuple[Prism | Quadric, int]], rays: Rays, hi
                 albedo, light = ground_colour(scene, points, footprint)
                 light = AMBIENT + DIRECT * float(-SUN[1]) * light
             else:
-                albedo, light = _solid(scene, *table[number - FIRST], points, depth, focal, origin)
+                albedo, light = _solid(*table[number - FIRST], points, depth, focal, origin)
             clear = np.exp(depth / -HAZE_LENGTH)
             colour[:, rows] = albedo * (light * clear) + HAZE * (1 - clear)
     return np.clip(colour, 0, 1, out=colour).reshape(3, *hits.index.shape)
@@ -71,9 +71,8 @@ def _sky(scene: Scene, direction: np.ndarray) -> np.ndarray:
     return blue + (0.95 - blue) * cloud
 
 
-def _solid(scene: Scene, shape: Prism | Quadric, face: int, points, depth, focal, origin) -> tuple[np.ndarray, np.ndarray]:
-    """Albedo (3, n) and light (n,) of points (3, n) on one face of a solid."""
-    surface = shape.surfaces[face]
+def _solid(shape: Solid, surface: Surface, points, depth, focal, origin) -> tuple[np.ndarray, np.ndarray]:
+    """Albedo (3, n) and light (n,) of points (3, n) on one surface of a solid."""
     if isinstance(shape, Quadric):
         normal = (points - shape.centre.astype(np.float32)[:, None]) * (1 / shape.radii**2).astype(np.float32)[:, None]
         sun = np.maximum(SUN.astype(np.float32) @ normal / np.linalg.norm(normal, axis=0), -0.4)

@@ -32,7 +32,7 @@ class Drive(NamedTuple):
 def camera_pose(street: Street, s: float, d: float, height: float, angles: tuple[float, float, float]) -> np.ndarray:
     """(4, 4) camera to world, at street coordinates `s`, `d`; `angles` are yaw to the right of the road, pitch up, roll, in radians."""
     point, heading = street.place(s, d)
-    yaw, pitch, roll = angles[0] + float(heading), angles[1], angles[2]
+    yaw, pitch, roll = angles[0] + heading, angles[1], angles[2]
     turn = np.array([[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]])
     nod = np.array([[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]])
     tilt = np.array([[np.cos(roll), -np.sin(roll), 0], [np.sin(roll), np.cos(roll), 0], [0, 0, 1]])

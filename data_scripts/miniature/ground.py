@@ -5,21 +5,17 @@ import numpy as np
 from data_scripts.miniature.noise import BLOTCH, GRAIN, fade, noise
 from data_scripts.miniature.scene import Scene
 from data_scripts.miniature.solids import ROAD, SIDEWALK, TERRAIN
-from data_scripts.miniature.street import CROSS_SECTION, Street
+from data_scripts.miniature.street import Street
 
-EDGES = np.array([edge for edge, _ in CROSS_SECTION[:-1]])
-LABELS = np.array([{"road": ROAD, "parking": ROAD, "grass": TERRAIN}.get(name, SIDEWALK) for _, name in CROSS_SECTION], np.uint8)
-COLOURS = {
-    "road": (0.36, 0.36, 0.37),
-    "parking": (0.33, 0.325, 0.33),
-    "curb": (0.62, 0.61, 0.59),
-    "sidewalk": (0.53, 0.51, 0.49),
-    "grass": (0.3, 0.4, 0.16),
-}
-BASE = np.array([COLOURS[name] for _, name in CROSS_SECTION], np.float32).T.copy()
-FINE = np.array([0.05, 0.06, 0.05, 0.06, 0.3], np.float32)
-"""Contrast of the grain in each strip: the road is the low-texture region of the paper, grass the rich one."""
-COARSE = np.array([0.05, 0.06, 0.03, 0.05, 0.16], np.float32)
+STRIPS = (
+    (4.0, ROAD, (0.36, 0.36, 0.37), 0.05, 0.05),  # the paper's region of low texture
+    (6.0, ROAD, (0.33, 0.325, 0.33), 0.06, 0.06),  # for parking
+    (6.25, SIDEWALK, (0.62, 0.61, 0.59), 0.05, 0.03),  # the kerb
+    (8.2, SIDEWALK, (0.53, 0.51, 0.49), 0.06, 0.05),
+    (np.inf, TERRAIN, (0.3, 0.4, 0.16), 0.3, 0.16),  # grass, of rich texture
+)
+"""Strips of ground, each to its largest |d|: Cityscapes' id, colour, contrast of grain and of blotches."""
+EDGES, LABELS, BASE, FINE, COARSE = map(np.array, zip(*STRIPS), (float, np.uint8, *[np.float32] * 3))
 
 
 def ground_label(street: Street, x: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -41,7 +37,7 @@ def ground_colour(scene: Scene, points: np.ndarray, footprint: np.ndarray) -> tu
     shift = np.float32(scene.seed * 5)
     grain = noise(GRAIN, x / 4 + shift, z / 4) * fade(footprint, 0.05) + 0.6 * noise(GRAIN, x / 23 + shift, z / 23) * fade(footprint, 0.3)
     blotch = noise(BLOTCH, x / 31 + shift, z / 31) + 0.7 * noise(BLOTCH, x / 140, z / 140 + shift)
-    albedo = BASE[:, strip] * (1 + FINE[strip] * grain + COARSE[strip] * blotch)
+    albedo = BASE.T[:, strip] * (1 + FINE[strip] * grain + COARSE[strip] * blotch)
     albedo[0] += np.float32(0.05) * (strip == 4) * blotch
     slab = (strip == 3) & ((_part(s, 1.2) < 0.03) | (_part(abs(d) - 6.25, 0.65) < 0.04))
     albedo *= 1 - 0.3 * slab * fade(footprint, 0.08)

@@ -7,8 +7,8 @@ import numpy as np
 
 from data_scripts.miniature import solids
 from data_scripts.miniature.shadows import Shadows, cast_shadows
-from data_scripts.miniature.solids import Place, Prism, Quadric
-from data_scripts.miniature.street import Plan, Street, build_street
+from data_scripts.miniature.solids import Prism, Quadric, Solid
+from data_scripts.miniature.street import Place, Plan, Street, build_street
 
 LANE = 1.9
 """The middle of the right-hand lane, metres right of the centre line."""
@@ -57,15 +57,14 @@ class Scene:
     movers: list[Mover] = field(default_factory=list)
     shadows: Shadows | None = None
 
-    def shapes(self, time: float) -> list[Prism | Quadric]:
+    def shapes(self, time: float) -> list[Solid]:
         """Standing solids, and the moving cars where they are at `time` (seconds)."""
-        shapes: list[Prism | Quadric] = [*self.prisms, *self.quadrics]
+        shapes: list[Solid] = [*self.prisms, *self.quadrics]
         for mover in self.movers:
             s = mover.start + mover.speed * time
             if self.street.s[0] < s < self.street.s[-1]:
-                point, heading = self.street.place(s, mover.d)
-                heading = float(heading) + (np.pi if mover.speed < 0 else 0.0)
-                shapes += solids.car(Place(point, heading), mover.paint, mover.seed, moving=True)
+                place = self.street.place(s, mover.d, np.pi if mover.speed < 0 else 0.0)
+                shapes += solids.car(place, mover.paint, mover.seed, moving=True)
         return shapes
 
 
@@ -100,7 +99,7 @@ def _along(scene: Scene, rng: np.random.Generator, low: float, high: float):
         s += rng.uniform(low, high)
 
 
-def _clear(scene: Scene, shape: Prism | Quadric, distance: float) -> bool:
+def _clear(scene: Scene, shape: Solid, distance: float) -> bool:
     """Whether the solid's box stays `distance` away from the centre line, also where the road bends towards it."""
     low, high = shape.corners.min(0), shape.corners.max(0)
     x, z = np.meshgrid(np.linspace(low[0], high[0], 5), np.linspace(low[2], high[2], 5))
@@ -116,10 +115,9 @@ def _houses(scene: Scene, rng: np.random.Generator, side: int, density: float) -
             width, depth = rng.uniform(8, 17), rng.uniform(8, 13)
             storeys = rng.integers(3, 6) if rng.uniform() < tall else rng.integers(1, 4)
             d = side * (setback + rng.uniform(0, 2.5 + 12 * row) + depth / 2)
-            point, heading = scene.street.place(s + width / 2, d)
+            place = scene.street.place(s + width / 2, d, side * np.pi / 2)
             size = (depth, width, 3.0 * storeys + rng.uniform(0.3, 1.0))
             gable = 0.0 if storeys > 3 else rng.uniform(1.8, 3.2)
-            place = Place(point, float(heading) + side * np.pi / 2)
             home = solids.house(place, size, _pick(rng, WALLS), _pick(rng, ROOFS), rng.uniform(), gable)
             if rng.uniform() < density and _clear(scene, home, 8.6):
                 scene.prisms.append(home)
@@ -148,8 +146,7 @@ def _trees(scene: Scene, rng: np.random.Generator, side: int, spacing: float) ->
 def _hedges(scene: Scene, rng: np.random.Generator, side: int, density: float) -> None:
     """Hedges, garden fences and bushes between sidewalk and gardens."""
     for s in _along(scene, rng, 5.0, 9.0):
-        point, heading = scene.street.place(s, side * 8.75)
-        place, kind, seed = Place(point, float(heading)), rng.uniform(), rng.uniform()
+        place, kind, seed = scene.street.place(s, side * 8.75), rng.uniform(), rng.uniform()
         length, height, leaf = rng.uniform(4, 6.5), rng.uniform(0.8, 1.5), _pick(rng, LEAVES)
         if kind < 0.3:
             scene.prisms.append(solids.block(place, (length, 0.8, height), "hedge", solids.VEGETATION, leaf, seed))
@@ -168,19 +165,17 @@ def _hedges(scene: Scene, rng: np.random.Generator, side: int, density: float) -
 def _poles(scene: Scene, rng: np.random.Generator, side: int) -> None:
     """Street lamps with an arm over the road, traffic signs, and bollards: slim things at the kerb."""
     for s in _along(scene, rng, 18.0, 30.0):
-        point, heading = scene.street.place(s, side * 6.5)
+        point, _ = scene.street.place(s, side * 6.5)
         grey = _pick(rng, [(0.4, 0.42, 0.43), (0.25, 0.3, 0.27), (0.55, 0.55, 0.53)])
         scene.quadrics.append(solids.cylinder(point, rng.uniform(0.06, 0.11), 6.6, "metal", solids.POLE, grey, rng.uniform()))
-        arm, _ = scene.street.place(s, side * 5.7)
-        place = Place(arm, float(heading) + np.pi / 2)
-        scene.prisms.append(solids.block(place, (1.7, 0.14, 0.12), "plain", solids.POLE, grey, 0.0, above=6.5))
+        arm = scene.street.place(s, side * 5.7, np.pi / 2)
+        scene.prisms.append(solids.block(arm, (1.7, 0.14, 0.12), "plain", solids.POLE, grey, 0.0, above=6.5))
     for s in _along(scene, rng, 14.0, 34.0):
         point, heading = scene.street.place(s, side * 6.7)
         scene.quadrics.append(solids.cylinder(point, 0.05, 2.9, "metal", solids.POLE, (0.5, 0.5, 0.5), rng.uniform()))
         colour = _pick(rng, [(0.75, 0.1, 0.1), (0.1, 0.25, 0.6), (0.85, 0.75, 0.2), (0.85, 0.85, 0.85)])
-        front, _ = scene.street.place(s - 0.07, side * 6.7)
-        place = Place(front, float(heading))
-        scene.prisms.append(solids.block(place, (0.03, 0.65, 0.65), "sign", solids.SIGN, colour, rng.uniform(), above=2.2))
+        front = scene.street.place(s - 0.07, side * 6.7)._replace(heading=heading)
+        scene.prisms.append(solids.block(front, (0.03, 0.65, 0.65), "sign", solids.SIGN, colour, rng.uniform(), above=2.2))
     first = rng.uniform(0, 60)
     for s in np.arange(first, first + 12, 1.8):
         point, _ = scene.street.place(s, side * 6.45)
@@ -193,9 +188,8 @@ def _parked(scene: Scene, rng: np.random.Generator, side: int, density: float) -
     for s in _along(scene, rng, 5.2, 7.5):
         busy = rng.uniform() < (0.85 if busy else 0.12)
         if busy and rng.uniform() < 0.35 + 0.5 * density:
-            point, heading = scene.street.place(s, side * (5.0 + rng.uniform(-0.08, 0.08)))
-            turn = 0.0 if side > 0 else np.pi
-            place = Place(point, float(heading) + turn + rng.uniform(-0.02, 0.02))
+            point, heading = scene.street.place(s, side * (5.0 + rng.uniform(-0.08, 0.08)), 0.0 if side > 0 else np.pi)
+            place = Place(point, heading + rng.uniform(-0.02, 0.02))
             scene.prisms += solids.car(place, _pick(rng, PAINTS), rng.uniform())
 
 

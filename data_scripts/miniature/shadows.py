@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from data_scripts.miniature.solids import Prism, Quadric
+from data_scripts.miniature.solids import Prism, Solid
 from data_scripts.miniature.street import Street
 
 SUN = np.array([0.55, -0.75, -0.36]) / np.linalg.norm([0.55, -0.75, -0.36])
@@ -32,7 +32,7 @@ class Shadows:
         return cv2.remap(self.sunlight, column[None], row[None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=1.0)[0]
 
 
-def cast_shadows(street: Street, shapes: list[Prism | Quadric]) -> Shadows:
+def cast_shadows(street: Street, shapes: list[Solid]) -> Shadows:
     """Project each solid along the sun's rays onto the ground and blur the edges to a penumbra."""
     corner = street.points.min(0) - REACH
     columns, rows = np.ceil((np.ptp(street.points, axis=0) + 2 * REACH) / CELL).astype(int)
@@ -41,14 +41,12 @@ def cast_shadows(street: Street, shapes: list[Prism | Quadric]) -> Shadows:
         ground = _outline(shape)
         ground = ground[:, [0, 2]] - ground[:, 1:2] * (SUN[[0, 2]] / SUN[1])
         cells = (ground - corner) / CELL
-        if (cells.max(0) < 0).any() or (cells.min(0) > [columns, rows]).any():
-            continue
         hull = cv2.convexHull(np.round(cells * 16).astype(np.int32))
         cv2.fillConvexPoly(drawing, hull, 120, lineType=cv2.LINE_AA, shift=4)
     return Shadows(corner, cv2.GaussianBlur(drawing.astype(np.float32) / 255, (0, 0), 1.2))
 
 
-def _outline(shape: Prism | Quadric) -> np.ndarray:
+def _outline(shape: Solid) -> np.ndarray:
     """(N, 3) points whose hull is the solid, or for round ones nearly so."""
     if isinstance(shape, Prism):
         return shape.corners

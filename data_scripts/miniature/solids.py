@@ -8,6 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from data_scripts.miniature.street import Place
+
 ROAD, SIDEWALK, BUILDING, FENCE, POLE, SIGN, VEGETATION, TERRAIN, SKY, CAR = 0, 1, 2, 4, 5, 7, 8, 9, 10, 13
 """Cityscapes' training ids of what the world holds."""
 
@@ -56,11 +58,7 @@ class Quadric(NamedTuple):
     """The one that it has."""
 
 
-class Place(NamedTuple):
-    """Where a solid stands: a point on the ground (x, z) and a heading."""
-
-    point: np.ndarray
-    heading: float
+Solid = Prism | Quadric
 
 
 def box_corners(centre: np.ndarray, axes: np.ndarray, half: np.ndarray) -> np.ndarray:
@@ -73,9 +71,8 @@ def prism(
     place: Place,
     outline: list[tuple[float, float]],
     half: float,
-    materials: list[str],
+    faces: list[tuple[str, tuple[float, float, float]]],
     label: int,
-    colours: list[tuple[float, float, float]],
     seed: float,
     moving: bool = False,
 ) -> Prism:
@@ -85,9 +82,8 @@ def prism(
         place: origin and direction of the outline's first axis; its second axis points up.
         outline: convex, counter-clockwise when the first axis points right; metres.
         half: half of the length of the sweep, to both sides of `place`.
-        materials: of the outline's edges in order, then of the two ends.
+        faces: materials and colours of the outline's edges in order, then of the two ends.
         label: Cityscapes id.
-        colours: one for each material.
         seed: see `Surface`.
         moving: whether this belongs to something that moves.
     """
@@ -97,25 +93,25 @@ def prism(
     points = np.asarray(outline, float)
     low, high = points.min(0), points.max(0)
     middle = (low + high) / 2
-    faces = []  # normal, origin, along, up, extent
+    planes = []  # normal, origin, along, up, extent
     for p, q in zip(points, np.roll(points, -1, 0)):
         edge, (start, rise) = q - p, (p, q - p) if p[1] <= q[1] else (q, p - q)
         length = np.hypot(*edge)
         normal, origin = (edge[1] * first - edge[0] * up) / length, base + start[0] * first + start[1] * up
-        faces.append((normal, origin, sweep, rise[0] / length * first + rise[1] / length * up, (2 * half, length)))
+        planes.append((normal, origin, sweep, rise[0] / length * first + rise[1] / length * up, (2 * half, length)))
     for side in (-1, 1):
         origin = base + side * half * sweep + middle[0] * first + low[1] * up
-        faces.append((side * sweep, origin, first, up, tuple(high - low)))
+        planes.append((side * sweep, origin, first, up, tuple(high - low)))
     corners = box_corners(base + middle[0] * first + middle[1] * up, np.stack([first, up, sweep]), np.array([*(high - low) / 2, half]))
-    surfaces = [Surface(material, label, colour, seed, *face, moving) for material, colour, face in zip(materials, colours, faces)]
-    return Prism(np.array([f[0] for f in faces]), np.array([f[0] @ f[1] for f in faces]), corners, surfaces)
+    surfaces = [Surface(material, label, colour, seed, *plane, moving) for (material, colour), plane in zip(faces, planes)]
+    return Prism(np.array([p[0] for p in planes]), np.array([p[0] @ p[1] for p in planes]), corners, surfaces)
 
 
 def block(place: Place, size: tuple[float, float, float], material: str, label: int, colour, seed: float, above: float = 0.0) -> Prism:
     """A box of `size` = (length along the heading, width, height), `above` metres over the ground."""
     length, width, height = size
     outline = [(-length / 2, above), (length / 2, above), (length / 2, above + height), (-length / 2, above + height)]
-    return prism(place, outline, width / 2, [material] * 6, label, [colour] * 6, seed)
+    return prism(place, outline, width / 2, [(material, colour)] * 6, label, seed)
 
 
 def house(place: Place, size: tuple[float, float, float], wall, roof, seed: float, gable: float) -> Prism:
@@ -125,12 +121,11 @@ def house(place: Place, size: tuple[float, float, float], wall, roof, seed: floa
     """
     depth, width, height = size
     outline = [(-depth / 2, 0.0), (depth / 2, 0.0), (depth / 2, height), (-depth / 2, height)]
-    materials, colours = ["plain", "facade", "roof", "facade", "facade", "facade"], [wall, wall, roof, wall, wall, wall]
+    above = [("roof", roof)]
     if gable:
         outline.insert(3, (0.0, height + gable))
-        materials.insert(2, "roof")
-        colours.insert(2, roof)
-    return prism(place, outline, width / 2, materials, BUILDING, colours, seed)
+        above *= 2
+    return prism(place, outline, width / 2, [("plain", wall), ("facade", wall), *above, *[("facade", wall)] * 3], BUILDING, seed)
 
 
 def car(place: Place, paint, seed: float, moving: bool = False) -> list[Prism]:
@@ -140,30 +135,33 @@ def car(place: Place, paint, seed: float, moving: bool = False) -> list[Prism]:
     body = [(-2.0, 0.22), (2.0, 0.22), (2.1, 0.5), (2.0, 0.74), (1.0, 0.94), (-1.95, 0.98), (-2.1, 0.6)]
     cabin = [(-1.95, 0.9), (1.1, 0.9), (0.35, 1.45 * high), (-1.5 - 0.3 * (high > 1), 1.47 * high)]
     body, cabin = ([(scale * x, scale * y) for x, y in outline] for outline in (body, cabin))
-    dark, glass = (0.05, 0.05, 0.055), (0.13, 0.15, 0.17)
-    shade = prism(place, [(-2.2, 0.0), (2.2, 0.0), (2.2, 0.03), (-2.2, 0.03)], 0.95, ["plain"] * 6, ROAD, [dark] * 6, seed, moving)
-    materials = ["plain", "front", "front", "paint", "paint", "back", "back", "doors", "doors"]
-    lower = prism(place, body, 0.86 * scale, materials, CAR, [dark] + [paint] * 8, seed, moving)
-    windows = ["plain", "glass", "paint", "glass", "side", "side"]
-    upper = prism(place, cabin, 0.76 * scale, windows, CAR, [dark, glass, paint, glass, paint, paint], seed, moving)
+    dark, glass = ("plain", (0.05, 0.05, 0.055)), ("glass", (0.13, 0.15, 0.17))
+    shade = prism(place, [(-2.2, 0.0), (2.2, 0.0), (2.2, 0.03), (-2.2, 0.03)], 0.95, [dark] * 6, ROAD, seed, moving)
+    painted = [(part, paint) for part in ("front", "front", "paint", "paint", "back", "back", "doors", "doors")]
+    lower = prism(place, body, 0.86 * scale, [dark, *painted], CAR, seed, moving)
+    roof, side = ("paint", paint), ("side", paint)
+    upper = prism(place, cabin, 0.76 * scale, [dark, glass, roof, glass, side, side], CAR, seed, moving)
     angles = np.arange(10) * 2 * np.pi / 10
     wheels = []
     for axle in (-1.3 * scale, 1.3 * scale):
         rim = [(axle + 0.32 * np.cos(a), 0.32 + 0.32 * np.sin(a)) for a in angles]
-        wheels.append(prism(place, rim, 0.875 * scale, ["plain"] * 10 + ["wheel"] * 2, CAR, [dark] * 12, seed, moving))
+        wheels.append(prism(place, rim, 0.875 * scale, [dark] * 10 + [("wheel", dark[1])] * 2, CAR, seed, moving))
     return [shade, lower, upper, *wheels]
 
 
 def ellipsoid(centre, radii, material: str, label: int, colour, seed: float) -> Quadric:
     """An ellipsoid with its axes along the world's; `centre` and `radii` as x, y, z."""
     centre, radii = np.asarray(centre, float), np.asarray(radii, float)
-    surface = Surface(material, label, colour, seed, *np.zeros((4, 3)), (1.0, 1.0))
-    return Quadric(centre, radii, -np.inf, box_corners(centre, np.eye(3), radii), [surface])
+    return Quadric(centre, radii, -np.inf, box_corners(centre, np.eye(3), radii), _round_surface(material, label, colour, seed))
 
 
 def cylinder(point, radius: float, height: float, material: str, label: int, colour, seed: float) -> Quadric:
     """An upright cylinder on the ground at `point` (x, z)."""
     centre = np.array([point[0], 0.0, point[1]])
-    surface = Surface(material, label, colour, seed, *np.zeros((4, 3)), (1.0, 1.0))
     corners = box_corners(centre - [0, height / 2, 0], np.eye(3), np.array([radius, height / 2, radius]))
-    return Quadric(centre, np.array([radius, np.inf, radius]), -height, corners, [surface])
+    return Quadric(centre, np.array([radius, np.inf, radius]), -height, corners, _round_surface(material, label, colour, seed))
+
+
+def _round_surface(*look) -> list[Surface]:
+    """The one surface of a quadric, whose place and direction differ from point to point."""
+    return [Surface(*look, *np.zeros((4, 3)), (1.0, 1.0))]

@@ -20,11 +20,6 @@ CELL = 0.5
 """Grid of the map from world to street coordinates; both are smooth, so bilinear interpolation is good to millimetres."""
 MARGIN = 60.0
 """The map reaches this far beyond the centre line; points outside take the nearest cell's values."""
-
-CROSS_SECTION = ((4.0, "road"), (6.0, "parking"), (6.25, "curb"), (8.2, "sidewalk"), (np.inf, "grass"))
-"""What the ground is, by the largest |d| of each strip."""
-
-
 AHEAD = 190.0
 """A street goes on this far after its last camera."""
 
@@ -46,6 +41,15 @@ class Plan(NamedTuple):
     """The camera's mean speed in m/s; those ahead of it are faster, so that it runs into none."""
 
 
+class Place(NamedTuple):
+    """Where something stands on the ground."""
+
+    point: np.ndarray
+    """(…, 2) x, z."""
+    heading: float | np.ndarray
+    """(…)"""
+
+
 @dataclass(frozen=True)
 class Street:
     """Centre line and its lookup grid, made by `build_street`."""
@@ -61,11 +65,11 @@ class Street:
     grid: np.ndarray
     """(rows z, columns x, 2) float32: s, d."""
 
-    def place(self, s: float | np.ndarray, d: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """World position (…, 2) as x, z, and heading (…) of the road at street coordinates `s`, `d`."""
+    def place(self, s: float | np.ndarray, d: float | np.ndarray, turn: float = 0.0) -> Place:
+        """World position at street coordinates `s`, `d`, and the road's heading there, turned to the right by `turn`."""
         heading = np.interp(s, self.s, self.heading)
         x, z = (np.interp(s, self.s, self.points[:, k]) for k in (0, 1))
-        return np.stack([x + d * np.cos(heading), z - d * np.sin(heading)], -1), heading
+        return Place(np.stack([x + d * np.cos(heading), z - d * np.sin(heading)], -1), heading + turn)
 
     def curvature(self, s: float | np.ndarray) -> np.ndarray:
         """Change of heading per metre at `s`."""

@@ -1,14 +1,14 @@
 """The intrinsics of a user's own camera: given, found with a chessboard, or estimated from the field of view and said to be so."""
 
 import json
-import math
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
 
+from dualdepth.data.camera import Camera, centred_camera, focal_length
 from dualdepth.data.kitti import calibration_entry, read_calibration
 from dualdepth.errors import InputError, reading
 
@@ -24,28 +24,16 @@ KEYS = ("P_rect_02", "P2", "P_rect_00", "P0")
 """Entries of KITTI's calibration files, in order of preference."""
 
 
-class Camera(NamedTuple):
-    """A camera in pixels of its frames; pixel (0, 0) is the centre of the first pixel."""
+def camera_of_matrix(matrix: np.ndarray, size: tuple[int, int], origin: str, distortion: tuple[float, ...] = ()) -> Camera:
+    """Camera of intrinsics (3, 3) or a rectified projection (3, 4)."""
+    return Camera(*matrix.diagonal()[:2].tolist(), *matrix[:2, 2].tolist(), size, origin, distortion)
 
-    matrix: np.ndarray
-    """(3, 3) float64."""
-    size: tuple[int, int]
-    """(height, width) of the frames."""
-    origin: str
-    """Where the numbers are from, for the data set's record."""
-    distortion: tuple[float, ...] = ()
-    """OpenCV's k1, k2, p1, p2, k3; empty: none."""
 
-    @property
-    def field(self) -> float:
-        """Horizontal field of view in degrees."""
-        return 2 * math.degrees(math.atan(self.size[1] / 2 / self.matrix[0, 0]))
-
-    def record(self) -> dict[str, Any]:
-        """As JSON, which `camera_of_file` reads."""
-        fx, fy, cx, cy = (round(float(v), 4) for v in (*self.matrix.diagonal()[:2], *self.matrix[:2, 2]))
-        numbers = {"fx": fx, "fy": fy, "cx": cx, "cy": cy, "width": self.size[1], "height": self.size[0]}
-        return numbers | {"distortion": list(self.distortion), "field_of_view_degrees": round(self.field, 1), "origin": self.origin}
+def record(camera: Camera) -> dict[str, Any]:
+    """A camera as JSON, which `camera_of_file` reads."""
+    numbers = {name: round(getattr(camera, name), 4) for name in ("fx", "fy", "cx", "cy")}
+    numbers |= {"width": camera.size[1], "height": camera.size[0], "distortion": list(camera.distortion)}
+    return numbers | {"field_of_view_degrees": round(camera.field, 1), "origin": camera.origin}
 
 
 def camera_of_numbers(text: str, size: tuple[int, int]) -> Camera:
@@ -56,7 +44,7 @@ def camera_of_numbers(text: str, size: tuple[int, int]) -> Camera:
     """
     with reading(f"--intrinsics {text!r}", "give fx,fy,cx,cy in pixels, such as 1000,1000,959.5,539.5, or a calibration file"):
         fx, fy, cx, cy = (float(part) for part in text.split(","))
-    return validate(Camera(_matrix(fx, fy, cx, cy), size, "given as numbers"), "--intrinsics")
+    return validate(Camera(fx, fy, cx, cy, size, "given as numbers"), "--intrinsics")
 
 
 def camera_of_file(path: str | Path, size: tuple[int, int]) -> Camera:
@@ -65,27 +53,27 @@ def camera_of_file(path: str | Path, size: tuple[int, int]) -> Camera:
     Raises:
         InputError: it cannot be read, holds no camera, or is of frames of another size.
     """
-    path, said, origin, distortion = Path(path), size, "given", ()
+    path, said, distortion, source = Path(path), size, (), f"read from {Path(path).name}"
     if path.suffix.lower() != ".json":
         values = read_calibration(path)
         key = next((k for k in KEYS if k in values), KEYS[0])
-        matrix = calibration_entry(values, key, 12, path).reshape(3, 4)[:, :3].copy()
+        camera = camera_of_matrix(calibration_entry(values, key, 12, path).reshape(3, 4), size, f"given; {source}")
         if (rectified := key.replace("P", "S")) in values:
             said = tuple(calibration_entry(values, rectified, 2, path)[::-1].round().astype(int))
     else:
         with reading(path, 'give {"fx": …, "fy": …, "cx": …, "cy": …} in pixels'):
             values = json.loads(path.read_text(encoding="utf-8"))
             values = values.get("camera", values)
-            matrix = _matrix(*(float(values[k]) for k in ("fx", "fy", "cx", "cy")))
             distortion = tuple(float(v) for v in values.get("distortion", ()))
             said = int(values.get("height", size[0])), int(values.get("width", size[1]))
-            origin = str(values.get("origin", origin))
+            numbers = (float(values[k]) for k in ("fx", "fy", "cx", "cy"))
+            camera = Camera(*numbers, size, f"{values.get('origin', 'given')}; {source}", distortion)
     if len(distortion) not in (0, 4, 5, 8) or not np.isfinite(distortion).all():
         raise InputError(f"{path}: distortion has {len(distortion)} numbers; give OpenCV's k1, k2, p1, p2, k3, or none")
     if said != size:
         sizes = f"is of {said[1]}×{said[0]} pixels, the frames have {size[1]}×{size[0]}"
         raise InputError(f"{path}: {sizes}; calibrate with frames of the same mode")
-    return validate(Camera(matrix, size, f"{origin}; read from {path.name}", distortion), str(path))
+    return validate(camera, str(path))
 
 
 def camera_of_field(degrees: float, size: tuple[int, int]) -> Camera:
@@ -97,9 +85,8 @@ def camera_of_field(degrees: float, size: tuple[int, int]) -> Camera:
     if not FIELD[0] <= degrees <= FIELD[1]:
         mend = f"give the horizontal field of view in degrees, {FIELD[0]:g} to {FIELD[1]:g}; phones have 60 to 75"
         raise InputError(f"--fov {degrees:g}: {mend}")
-    focal = size[1] / 2 / math.tan(math.radians(degrees / 2))
-    centre = (size[1] - 1) / 2, (size[0] - 1) / 2
-    return Camera(_matrix(focal, focal, *centre), size, f"ESTIMATED from a horizontal field of view of {degrees:g} degrees, not calibrated")
+    origin = f"ESTIMATED from a horizontal field of view of {degrees:g} degrees, not calibrated"
+    return centred_camera(focal_length(degrees, size[1]), size, origin)
 
 
 def calibrate(views: Iterable[tuple[str, np.ndarray]], squares: tuple[int, int], size: tuple[int, int], what: str) -> Camera:
@@ -138,7 +125,7 @@ def calibrate(views: Iterable[tuple[str, np.ndarray]], squares: tuple[int, int],
         mend = "use a flat board, sharp views and a lens that neither zooms nor stabilises"
         raise InputError(f"{what}: the corners are off by {error:.2f} pixels (RMS), at most {most:.2f} is taken; {mend}")
     origin = f"chessboard, {pattern[0]}x{pattern[1]} inner corners in {len(corners)} of {seen} views, RMS error {error:.3f} pixels"
-    return validate(Camera(matrix, size, origin, tuple(float(v) for v in distortion.ravel())), what)
+    return validate(camera_of_matrix(matrix, size, origin, tuple(distortion.ravel().tolist())), what)
 
 
 def validate(camera: Camera, what: str) -> Camera:
@@ -147,8 +134,7 @@ def validate(camera: Camera, what: str) -> Camera:
     Raises:
         InputError: numbers that are not finite, a field of view outside `FIELD`, pixels far from square, an axis outside of the frame.
     """
-    (fx, _, cx), (_, fy, cy), _ = camera.matrix
-    height, width = camera.size
+    fx, fy, cx, cy, (height, width), *_ = camera
     if not np.isfinite(camera.matrix).all() or min(fx, fy) <= 0:
         wrong = "the numbers must be finite and the focal lengths above 0, in pixels"
     elif not FIELD[0] <= camera.field <= FIELD[1]:
@@ -166,10 +152,6 @@ def straightener(camera: Camera) -> tuple[Camera, Callable[[np.ndarray], np.ndar
     """The camera without its distortion, in frames of the same size without black margins, and what makes its images (H, W, 3) uint8."""
     matrix, size, lens = camera.matrix, camera.size[::-1], np.array(camera.distortion)
     rectified, _ = cv2.getOptimalNewCameraMatrix(matrix, lens, size, 0.0)
-    straight = validate(Camera(rectified, camera.size, f"{camera.origin}; frames undistorted"), "the camera after undistortion")
+    straight = validate(camera_of_matrix(rectified, camera.size, f"{camera.origin}; frames undistorted"), "the camera after undistortion")
     maps = cv2.initUndistortRectifyMap(matrix, lens, None, rectified, size, cv2.CV_16SC2)
     return straight, lambda image: cv2.remap(image, *maps, cv2.INTER_LINEAR)
-
-
-def _matrix(fx: float, fy: float, cx: float, cy: float) -> np.ndarray:
-    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)

@@ -40,8 +40,6 @@ CLOSE = 0.45
 """The same of a data set's median pair, at least: KITTI has 0.8, every second frame of it 0.6, every fourth 0.35 to 0.43."""
 TRAVELS = 0.15
 """Share of the median flow that no turn of the camera explains, at least: KITTI has 0.8, a camera that only turns 0.04."""
-
-
 LINKS = {"moving": "moves", "still": "still", "cuts": "cut", "gaps": "gap"}
 """Names of the counts of pairs of neighbours, and the links that they count."""
 

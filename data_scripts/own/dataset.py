@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 from tqdm import tqdm
 
-from data_scripts.own.camera import Camera
 from data_scripts.own.checks import Drive
+from dualdepth.data.camera import Camera
 from dualdepth.data.frames import Footage
 from dualdepth.data.kitti import SUFFIXES
 from dualdepth.errors import InputError, reading
@@ -25,8 +25,6 @@ from dualdepth.files import write_text
 from dualdepth.profile import PROFILES
 from dualdepth.run import RECORD
 
-Straighten = Callable[[np.ndarray], np.ndarray]
-"""Undoes a lens's distortion in an image (H, W, 3) uint8."""
 DATE = "2000_01_01"
 """Stands where KITTI has the day of the recording; no day of KITTI's, so that its drives are never taken for KITTI's."""
 JPEG_QUALITY = 95
@@ -58,8 +56,8 @@ def fitting_size(size: tuple[int, int]) -> tuple[int, int]:
     return max(alike, key=np.prod) if alike else min(choices, key=squeezed.get)
 
 
-def write_frames(root: Path, footages: Sequence[Footage], drives: Sequence[Drive], straighten: Straighten | None) -> None:
-    """Write the drives' frames, numbered from 0: image files as they are, else JPEG; undistorted where there is a lens to undo."""
+def write_frames(root: Path, footages: Sequence[Footage], drives: Sequence[Drive], straighten: Callable | None) -> None:
+    """Write the drives' frames, numbered from 0: image files as they are, else JPEG; undistorted by `straighten` where it is given."""
     with tqdm(total=sum(len(d.numbers) for d in drives), desc="writing frames", unit="frame", disable=None) as bar:
         for place, footage in enumerate(footages):
             own = [(i, d) for i, d in enumerate(drives, 1) if d.footage == place]

@@ -75,7 +75,7 @@ def predict_files(
             tasks = plan(paths, out, options, kinds, overwrite)
             todo = [task for task in tasks if task.kinds]
             if any("ply" in task.kinds for task in todo):
-                print(f"point clouds: {style.camera((1, 1))[1]}")
+                print(f"point clouds: {style.camera((1, 1)).origin}")
             print(f"{len(todo)} of {len(tasks)} inputs to predict on {model.device} in {model.precision}", flush=True)
             predictor = Predictor(model, out, style, batch_size or (GPU_BATCH if model.device.type == "cuda" else 1))
             predictor.run(todo)

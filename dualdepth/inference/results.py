@@ -10,6 +10,7 @@ import numpy as np
 import PIL.Image
 import PIL.PngImagePlugin
 
+from dualdepth.data.camera import Camera, centred_camera, focal_length
 from dualdepth.errors import InputError
 from dualdepth.files import atomic_path
 
@@ -53,23 +54,21 @@ class Style(NamedTuple):
             raise InputError(f"--scale {self.scale}: must be a positive number")
         if self.field_of_view is not None and not 0 < self.field_of_view < 180:
             raise InputError(f"--fov {self.field_of_view}: must be between 0 and 180 degrees")
-        numbers, note = self.camera((1, 1))
-        if not (all(map(math.isfinite, numbers)) and min(numbers[:2]) > 0):
-            raise InputError(f"{note}: focal lengths must be positive and all numbers finite")
+        camera = self.camera((1, 1))
+        if not (all(map(math.isfinite, camera[:4])) and min(camera[:2]) > 0):
+            raise InputError(f"{camera.origin}: focal lengths must be positive and all numbers finite")
         return self
 
-    def camera(self, size: tuple[int, int]) -> tuple[tuple[float, float, float, float], str]:
-        """fx, fy, cx, cy of an image of `size` (height, width), and where they come from."""
-        height, width = size
+    def camera(self, size: tuple[int, int]) -> Camera:
+        """The camera of an image of `size` (height, width)."""
         if self.intrinsics:
-            return self.intrinsics, "fx {} fy {} cx {} cy {} as given".format(*self.intrinsics)
+            return Camera(*self.intrinsics, size, "fx {} fy {} cx {} cy {} as given".format(*self.intrinsics))
         if self.focal is not None:
             focal, note = self.focal, f"focal length {self.focal} pixels as given"
         else:
             degrees, by = (self.field_of_view, "as given") if self.field_of_view else (KITTI_FIELD_OF_VIEW, "by default, as KITTI's")
-            focal = width / 2 / math.tan(math.radians(degrees) / 2)
-            note = f"horizontal field of view {degrees:.1f} degrees {by}"
-        return (focal, focal, (width - 1) / 2, (height - 1) / 2), f"{note}, principal point in the middle"
+            focal, note = focal_length(degrees, size[1]), f"horizontal field of view {degrees:.1f} degrees {by}"
+        return centred_camera(focal, size, f"{note}, principal point in the middle")
 
     @property
     def unit(self) -> str:
@@ -117,7 +116,7 @@ def save(kind: str, path: Path, image: np.ndarray, depth: np.ndarray, style: Sty
 
 def _save_ply(path: Path, image: np.ndarray, depth: np.ndarray, style: Style) -> None:
     """All pixels as points, row by row; x right, y down, z forward."""
-    (fx, fy, cx, cy), note = style.camera(depth.shape)
+    fx, fy, cx, cy, _, note, _ = style.camera(depth.shape)
     rows, columns = np.indices(depth.shape, np.float32)
     names = {"x": "float", "y": "float", "z": "float", "red": "uchar", "green": "uchar", "blue": "uchar"}
     points = np.empty(depth.shape, [(name, "<f4" if kind == "float" else "u1") for name, kind in names.items()])

@@ -7,6 +7,7 @@ import tarfile
 import threading
 import zipfile
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -42,34 +43,26 @@ class _Handler(http.server.BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         server, path, asked, with_body = self.server, self.path.lstrip("/"), self.headers["Range"], self.command == "GET"
-        log = [self.command, path, asked, 0]
         failure = server.failures.pop(0) if with_body and server.failures else None
-        if failure or path not in server.files:
-            server.requests.append(tuple(log))
-            self.send_error(failure or 404)
-            return
-        content, etag = server.files[path], server.etags.get(path, '"first"')
-        start = int(re.fullmatch(r"bytes=(\d+)-", asked)[1]) if asked and server.ranges and self.headers["If-Range"] == etag else 0
-        if start >= len(content) > 0 and start:
-            server.requests.append(tuple(log))
-            self.send_response(416)
-            self.send_header("Content-Range", f"bytes */{len(content)}")
-            self.send_header("Content-Length", "0")
-            self.end_headers()
-            return
-        body = content[start:]
-        if with_body:
-            body = body[: server.cuts.pop(0)] if server.cuts else body
-            log[3] = len(body)
-        server.requests.append(tuple(log))  # before the answer, which a client may not read to its end
-        self.send_response(206 if start else 200)
-        if start:
-            self.send_header("Content-Range", f"bytes {start}-{len(content) - 1}/{len(content)}")
-        self.send_header("Content-Length", str(len(content) - start))
-        self.send_header("ETag", etag)
+        content, etag = server.files.get(path), server.etags.get(path, '"first"')
+        status, headers, body = failure or 404, {}, b""
+        if content is not None and not failure:
+            start = int(re.fullmatch(r"bytes=(\d+)-", asked)[1]) if asked and server.ranges and self.headers["If-Range"] == etag else 0
+            status, headers, body = 200, {"ETag": etag}, content[start:]
+            if start:
+                status = 206 if body else 416
+                headers["Content-Range"] = f"bytes {f'{start}-{len(content) - 1}' if body else '*'}/{len(content)}"
+        headers["Content-Length"] = str(len(body))
+        if not with_body:
+            body = b""
+        elif body and server.cuts:
+            body = body[: server.cuts.pop(0)]
+        server.requests.append((self.command, path, asked, len(body)))  # before the answer, which a client may not read to its end
+        self.send_response(status)
+        for header in headers.items():
+            self.send_header(*header)
         self.end_headers()
-        if with_body:
-            self.wfile.write(body)
+        self.wfile.write(body)
         self.close_connection = True
 
     def do_HEAD(self) -> None:
@@ -81,15 +74,15 @@ def bare_server(monkeypatch) -> Iterator[Loopback]:
     """A server that answers during a test, past any proxy and without pauses between attempts."""
     monkeypatch.setenv("no_proxy", "127.0.0.1")
     monkeypatch.setattr(fetch, "PAUSES", (0.0, 0.0))
-    server = Loopback()
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True)
-    thread.start()
-    try:
+    with Loopback() as server:
+        threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True).start()
         yield server
-    finally:
         server.shutdown()
-        server.server_close()
-        thread.join()
+
+
+def files(folder: Path) -> list[str]:
+    """All files below a folder, by their paths."""
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
 
 
 def zip_of(members: dict[str | zipfile.ZipInfo, bytes]) -> bytes:

@@ -10,16 +10,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from loopback import tar_of, zip_of
+from loopback import files, tar_of, zip_of
 from tqdm import tqdm
 
 from data_scripts import archives
 from data_scripts.archives import BadArchiveError, unpack
 from dualdepth.errors import InputError
-
-
-def left_over(folder):
-    return sorted(path.name for path in folder.rglob("*"))
 
 
 def special(name, kind, target=""):
@@ -49,34 +45,33 @@ def refuse(archive, match, kind=BadArchiveError, **settings):
     folder = archive.parent / "out"
     with pytest.raises(kind, match=match):
         unpack(archive, folder, **settings)
-    assert left_over(archive.parent) in ([archive.name], [archive.name, "out"])
+    assert files(archive.parent) == [archive.name] and not list(folder.glob("*"))
 
 
 def test_members_are_placed_and_left_out_and_all_are_read(archive_of, tmp_path):
     archive = archive_of({"top/keep/a.txt": b"aaa", "top/drop/b.txt": b"b", "top/c.txt": b""})
+    rest = tmp_path / "out" / f".{archive.name}.unpacking"  # of a killed run
+    rest.mkdir(parents=True)
+    (rest / "stale").touch()
     bar = tqdm(disable=False, file=io.StringIO())
     unpacked = unpack(archive, tmp_path / "out", lambda name: None if "drop" in name else name.removeprefix("top/"), bar)
     assert unpacked == {"files": 2, "bytes": 3} and bar.total == bar.n == 4
-    assert left_over(tmp_path / "out") == ["a.txt", "c.txt", "keep"]
+    assert files(tmp_path / "out") == ["c.txt", "keep/a.txt"]
     assert (tmp_path / "out" / "keep" / "a.txt").read_bytes() == b"aaa"
 
 
 def test_folders_of_a_tar_and_dots_before_its_names_are_passed_over(tmp_path):
     archive = write(tmp_path / "a.tar.gz", tar_of({"./": special("./", tarfile.DIRTYPE), "./top/a.txt": b"aaa"}))
-    assert unpack(archive, tmp_path / "out")["files"] == 1 and left_over(tmp_path / "out") == ["a.txt", "top"]
+    assert unpack(archive, tmp_path / "out")["files"] == 1 and files(tmp_path / "out") == ["top/a.txt"]
 
 
 OUTSIDE = ["../outside.txt", "a/../../outside.txt", "/outside.txt", "a/./b.txt", "./../outside.txt", "..\\outside.txt", "C:/outside.txt"]
 
 
 @pytest.mark.parametrize("name", OUTSIDE)
-@pytest.mark.parametrize("place", [str, lambda name: "wanted.txt"])
-def test_members_that_point_outside_are_refused(archive_of, name, place):
-    refuse(archive_of({"good.txt": b"good", name: b"evil"}), "points outside of the folder", place=place)
-
-
-def test_a_place_that_points_outside_is_refused(archive_of):
-    refuse(archive_of({"a.txt": b"a"}), "points outside of the folder", place=lambda name: f"../{name}")
+def test_members_and_places_that_point_outside_are_refused(archive_of, name):
+    for member, place in ((name, str), (name, lambda _: "wanted.txt"), ("evil.txt", lambda _: name)):
+        refuse(archive_of({"good.txt": b"good", member: b"evil"}), "points outside of the folder", place=place)
 
 
 def zip_with_a_link():
@@ -92,11 +87,10 @@ def test_links_and_devices_are_refused_even_where_they_are_not_wanted(tmp_path, 
     refuse(write(tmp_path / "a", content), "'odd' is a link or a special file", place=place)
 
 
-@pytest.mark.parametrize("keep", [5, 30, 0.5, -9, -1])
+@pytest.mark.parametrize("keep", [0, 5, 30, 25_000, -9, -1])
 def test_a_truncated_archive_is_refused(archive_of, keep):
     archive = archive_of({"a.txt": b"a", "b.bin": np.random.default_rng(0).bytes(50000)})
-    whole = archive.read_bytes()
-    refuse(write(archive, whole[: keep if isinstance(keep, int) else int(keep * len(whole))]), "not a whole zip or gzipped tar archive")
+    refuse(write(archive, archive.read_bytes()[:keep]), "not a whole zip or gzipped tar archive")
 
 
 @pytest.mark.parametrize("place", [str, lambda name: None if name == "bad.txt" else name])
@@ -108,7 +102,7 @@ def test_a_corrupted_member_leaves_nothing_even_when_it_is_not_wanted(tmp_path, 
     refuse(write(archive, plain.replace(b"corrupt me", b"corrupt ME")), "CRC check failed", place=place)
 
 
-@pytest.mark.parametrize("content", [b"", b"no archive at all", gzip.compress(b"no tar at all" * 100)], ids=["empty", "text", "gzip"])
+@pytest.mark.parametrize("content", [b"no archive at all", gzip.compress(b"no tar at all" * 100)], ids=["text", "gzip"])
 def test_what_is_no_archive_is_refused(tmp_path, content):
     refuse(write(tmp_path / "a", content), "not a whole zip or gzipped tar archive")
 
@@ -141,18 +135,9 @@ def test_an_archive_that_swells_is_refused_before_it_does(tmp_path, monkeypatch,
 
 def test_what_a_check_refuses_leaves_nothing_and_what_it_finds_is_told(archive_of, tmp_path):
     def check(folder):
-        if left_over(folder) != ["a.txt"]:
+        if files(folder) != ["a.txt"]:
             raise BadArchiveError("other files")
         return {"found": 1}
 
     refuse(archive_of({"b.txt": b"b"}), "other files", check=check)
     assert unpack(archive_of({"a.txt": b"a"}), tmp_path / "out", check=check)["found"] == 1
-
-
-def test_unpacking_over_an_interrupted_run_starts_afresh(archive_of, tmp_path):
-    archive = archive_of({"a/b.txt": b"new"})
-    rest = tmp_path / "out" / f".{archive.name}.unpacking"
-    rest.mkdir(parents=True)
-    (rest / "stale").touch()
-    unpack(archive, tmp_path / "out")
-    assert left_over(tmp_path / "out") == ["a", "b.txt"]

@@ -7,7 +7,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from loopback import zip_of
+from loopback import files, zip_of
 
 from data_scripts import download_kitti as script
 from data_scripts import sources
@@ -49,12 +49,8 @@ def run(server, root, *arguments):
     return script.main(["--root", str(root), *arguments], kitti_home=server.home, lists_home=server.home)
 
 
-def files(root):
-    return sorted(str(path.relative_to(root)) for path in root.rglob("*") if path.is_file())
-
-
 def test_a_drive_comes_with_its_calibration_and_nothing_else_is_left(server, tmp_path, capsys):
-    assert run(server, tmp_path, f"{DAY}/{DRIVE}") == 0
+    run(server, tmp_path, f"{DAY}/{DRIVE}")
     assert files(tmp_path) == [
         f"{DAY}/.calib.complete.json",
         f"{DAY}/{DRIVE}/.complete.json",
@@ -66,7 +62,8 @@ def test_a_drive_comes_with_its_calibration_and_nothing_else_is_left(server, tmp
     assert not (tmp_path / "archives").exists()
     assert f"2/2 {DRIVE}.zip: 100%" in said and "B/s]" in said and f"KITTI_ROOT={tmp_path}" in said
     server.requests.clear()
-    assert run(server, tmp_path, DRIVE) == 0 and server.requests == []
+    run(server, tmp_path, DRIVE)
+    assert server.requests == []
 
 
 def test_cameras_that_are_not_wanted_are_left_out_and_can_be_added(server, tmp_path):
@@ -97,15 +94,6 @@ def test_a_disk_that_is_too_small_or_a_missing_archive_is_told_before_anything_i
     assert server.sent == [] and files(tmp_path) == []
 
 
-def test_a_bad_archive_is_refused_and_comes_anew_the_next_time(server, tmp_path, refused):
-    good = server.files[DRIVE_ADDRESS]
-    server.files[DRIVE_ADDRESS] = good.replace(b"laser scan", b"laser SCAN")
-    assert "Bad CRC-32" in refused(run, server, tmp_path, DRIVE)
-    assert files(tmp_path) == [f"{DAY}/.calib.complete.json", f"{DAY}/calib_cam_to_cam.txt"]
-    server.files[DRIVE_ADDRESS] = good
-    assert run(server, tmp_path, DRIVE) == 0
-
-
 def test_odometry_is_laid_out_as_odometry_root_and_depth_below_its_own_folder(server, tmp_path, monkeypatch):
     server.files["data_odometry_poses.zip"] = zip_of({"dataset/poses/09.txt": b"1"})
     server.files["data_odometry_calib.zip"] = zip_of({"dataset/sequences/09/calib.txt": b"P2: 1"})
@@ -115,7 +103,7 @@ def test_odometry_is_laid_out_as_odometry_root_and_depth_below_its_own_folder(se
     server.files["data_depth_annotated.zip"] = depth
     checked = sources.IMPROVED_DEPTH._replace(digest=f"md5:{hashlib.md5(depth).hexdigest()}")
     monkeypatch.setattr(sources, "IMPROVED_DEPTH", checked)
-    assert run(server, tmp_path, "--odometry", "--improved-depth", "--cameras", "image_02") == 0
+    run(server, tmp_path, "--odometry", "--improved-depth", "--cameras", "image_02")
     assert [name for name in files(tmp_path) if "complete" not in name] == [
         f"depth_annotated/val/{DRIVE}/proj_depth/groundtruth/image_02/0000000005.png",
         "odometry/poses/09.txt",
@@ -126,7 +114,7 @@ def test_odometry_is_laid_out_as_odometry_root_and_depth_below_its_own_folder(se
 
 def test_lists_only(server, lists, tmp_path):
     for _ in range(2):
-        assert run(server, tmp_path, "--lists-only") == 0
+        run(server, tmp_path, "--lists-only")
         assert files(tmp_path) == [f"lists/{name}.txt" for name in sorted(sources.LISTS)]
     assert len(server.requests) == len(sources.LISTS)
 

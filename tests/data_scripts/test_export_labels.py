@@ -1,6 +1,7 @@
 """Making label maps from the shell with small random models: the likeliest class of each pixel, and one line for every mistake."""
 
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -74,7 +75,7 @@ def likeliest(model, path, size=None):
 @pytest.mark.parametrize(("size", "batch"), [(None, "1"), (None, "3"), ((96, 160), "3")])
 def test_each_pixel_has_the_class_of_the_largest_logit_whatever_the_batch(size, batch):
     model = segformer()
-    assert run("--batch-size", batch, *(["--size", "96x160"] if size else [])) == 0
+    run("--batch-size", batch, *(["--size", "96x160"] if size else []))
     assert sorted(Path("out").glob("*/*")) == sorted(images())
     for out, path in images().items():
         labels, expected = read_label_map(out), likeliest(model, path, size)
@@ -82,21 +83,17 @@ def test_each_pixel_has_the_class_of_the_largest_logit_whatever_the_batch(size, 
         assert len(np.unique(expected)) > 2 and (labels == expected).mean() > 0.999
 
 
-def test_a_file_beside_the_maps_says_what_made_them():
+def test_a_file_says_what_made_the_maps_which_stay_and_are_neither_mixed_with_those_of_another_maker_nor_lost(capsys, refused):
     run()
     card = json.loads(Path("out/labels.json").read_text())
-    assert card["model"] == "model" and card["revision"] is None and card["size"] == "the images' own"
-    assert len(card["weights_sha256"]) == len(card["list_sha256"]) == 64
+    assert card["model"] == "model" and card["revision"] is None and card["size"] == "the images' own" and len(card["list_sha256"]) == 64
     assert card["weights_sha256"] == export_labels.weights_digest(segformer()) != export_labels.weights_digest(segformer(seed=1))
-
-
-def test_maps_of_the_same_model_stay_and_those_of_another_maker_are_neither_mixed_nor_lost(capsys, refused):
-    run()
     first, *others = images()
     first.unlink()
     for out in others:
         cv2.imwrite(str(out), np.full((2, 2), 7, np.uint8))
-    assert run() == 0 and "1 label maps written, 3 were there" in capsys.readouterr().out
+    run()
+    assert "1 label maps written, 3 were there" in capsys.readouterr().out
     assert read_label_map(first).shape == (208, 208) and all(read_label_map(out).shape == (2, 2) for out in others)
     before = {path: path.read_bytes() for path in Path("out").rglob("*.png")}
     assert "out: holds label maps of another maker" in refused(run, "--size", "64x64")
@@ -111,20 +108,12 @@ def of_classes(*names):
     save(segformer(id2label=dict(enumerate(names)), label2id={name: i for i, name in enumerate(names)}))
 
 
-def without_file(name):
-    return lambda: Path("model", name).unlink()
-
-
 BAD_MODELS = {
     "classes in another order": (lambda: of_classes(*CITYSCAPES[1::-1], *CITYSCAPES[2:]), "has the 19 classes sidewalk, road, building"),
     "other classes": (lambda: of_classes("road", "rest"), "has the 2 classes road, rest; needed are Cityscapes' 19 in order: road"),
     "without a trained head": (lambda: SegformerModel(segformer().config).save_pretrained("model"), "has no weights for decode_head"),
-    "no config": (without_file("config.json"), "cannot be read"),
-    "no processor": (without_file("preprocessor_config.json"), "cannot be read"),
-    "weights cut": (
-        lambda: Path("model/model.safetensors").write_bytes(Path("model/model.safetensors").read_bytes()[:-100]),
-        "cannot be read",
-    ),
+    "no processor": (lambda: Path("model/preprocessor_config.json").unlink(), "cannot be read"),
+    "weights cut": (lambda: os.truncate("model/model.safetensors", 1000), "cannot be read"),
     "nothing": (lambda: shutil.rmtree("model"), "cannot be read"),
 }
 
@@ -140,7 +129,7 @@ def test_pickled_weights_are_read_only_when_allowed(refused):
     torch.save(segformer().state_dict(), "model/pytorch_model.bin")
     Path("model/model.safetensors").unlink()
     assert "--allow-pickle" in refused(run) and not Path("out").exists()
-    assert run("--allow-pickle") == 0
+    run("--allow-pickle")
 
 
 def test_both_cameras_of_a_frame_would_have_one_map(kitti_root, refused):

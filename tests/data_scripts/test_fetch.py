@@ -7,6 +7,7 @@ import socket
 import urllib.request
 
 import pytest
+from loopback import files
 from tqdm import tqdm
 
 import data_scripts.fetch as module
@@ -27,13 +28,9 @@ def get(server, folder, **settings):
     return fetch(f"{server.home}file.bin", folder / "file.bin", **settings)
 
 
-def left_over(folder):
-    return sorted(path.name for path in folder.rglob("*"))
-
-
 def test_a_file_arrives_whole_and_alone(server, tmp_path):
     assert get(server, tmp_path / "new" / "folder", digest=SHA256).read_bytes() == CONTENT
-    assert left_over(tmp_path / "new" / "folder") == ["file.bin"]
+    assert files(tmp_path / "new" / "folder") == ["file.bin"]
     assert remote_size(f"{server.home}file.bin") == len(CONTENT)
 
 
@@ -49,12 +46,12 @@ def test_a_second_run_goes_on_where_the_first_gave_up_unless_the_file_changed(se
     server.cuts = [500_000, 0, 0, 0]
     with pytest.raises(InputError, match=r"keeps breaking .* run again, it goes on after 0\.5 MB"):
         get(server, tmp_path)
-    assert left_over(tmp_path) == ["file.bin.part", "file.bin.part.etag"]
+    assert files(tmp_path) == ["file.bin.part", "file.bin.part.etag"]
     if changed:
         server.files["file.bin"], server.etags["file.bin"] = CONTENT[::-1], '"second"'
-    bar = tqdm(initial=500_000, file=io.StringIO())
+    bar = tqdm(initial=500_000 + 7, file=io.StringIO())  # 7 bytes of another file
     assert get(server, tmp_path, bar=bar).read_bytes() == server.files["file.bin"]
-    assert server.sent[-1] == len(CONTENT) - (0 if changed else 500_000) and bar.n == len(CONTENT)
+    assert server.sent[-1] == len(CONTENT) - (0 if changed else 500_000) and bar.n == len(CONTENT) + 7
 
 
 def test_bytes_that_come_reset_the_patience(server, tmp_path):
@@ -71,7 +68,7 @@ def test_a_part_of_another_run_is_taken_for_what_it_is(server, tmp_path, part, m
     (tmp_path / "file.bin.part").write_bytes(part)
     (tmp_path / "file.bin.part.etag").write_text(mark)
     assert get(server, tmp_path, digest=SHA256).read_bytes() == CONTENT
-    assert sum(server.sent) == sent and left_over(tmp_path) == ["file.bin"]
+    assert sum(server.sent) == sent and files(tmp_path) == ["file.bin"]
 
 
 def test_a_server_without_ranges_starts_over(server, tmp_path):
@@ -91,7 +88,7 @@ def test_a_failing_server_is_asked_again(server, tmp_path):
 def test_a_wrong_checksum_is_told_and_leaves_nothing(server, tmp_path):
     with pytest.raises(InputError, match="wrong checksum, md5 is"):
         get(server, tmp_path, digest="md5:" + "0" * 32)
-    assert left_over(tmp_path) == []
+    assert files(tmp_path) == []
 
 
 def test_a_file_that_is_there_is_verified_without_the_network(server, tmp_path):
@@ -109,14 +106,16 @@ def test_a_missing_file_is_told_at_once(server, tmp_path):
         with pytest.raises(InputError, match=r"nothing: not there \(HTTP 404\)"):
             action()
     assert len(server.requests) == 2
-    assert left_over(tmp_path) == []
+    assert files(tmp_path) == []
 
 
 def test_no_network_is_told_with_the_mend(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "PAUSES", (0.0, 0.0))
     with socket.socket() as taken:  # bound and never listening: refuses connections
         taken.bind(("127.0.0.1", 0))
-        with pytest.raises(InputError, match=r"no network: .* cannot be reached .* if you have KITTI, give KITTI_ROOT"):
+        with pytest.raises(
+            InputError, match=r"no network: .* cannot be reached .* if you have the data set, give its folder as KITTI_ROOT"
+        ):
             remote_size(f"http://127.0.0.1:{taken.getsockname()[1]}/file")
 
 

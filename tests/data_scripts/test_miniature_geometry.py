@@ -7,10 +7,9 @@ import pytest
 from data_scripts.miniature import formats, solids
 from data_scripts.miniature.cast import FIRST, GROUND, SKY, cast
 from data_scripts.miniature.drives import drive
-from data_scripts.miniature.laser import laser_scan
-from data_scripts.miniature.render import camera_rays, render, render_geometry
+from data_scripts.miniature.render import camera_rays, laser_scan, render, render_geometry
 from data_scripts.miniature.scene import build_scene
-from data_scripts.miniature.street import Plan, build_street
+from data_scripts.miniature.street import Place, Plan, build_street
 from dualdepth.data.kitti import intrinsics, read_calibration
 
 SIZE = (208, 656)
@@ -42,7 +41,7 @@ def level_camera():
 
 def test_ground_depth_is_height_times_focal_length_over_rows_below_the_horizon():
     rays = camera_rays(level_camera(), K, SIZE)
-    hits = cast([solids.block(solids.Place(np.array([0, -50.0]), 0.0), (1, 1, 1), "plain", 2, (0, 0, 0), 0.0)], rays)
+    hits = cast([solids.block(Place(np.array([0, -50.0]), 0.0), (1, 1, 1), "plain", 2, (0, 0, 0), 0.0)], rays)
     v = np.arange(SIZE[0])
     below = v > K[1, 2]
     np.testing.assert_allclose(1 / hits.nearness[below, 300], 1.65 * K[1, 1] / (v[below] - K[1, 2]), rtol=1e-5)
@@ -51,7 +50,7 @@ def test_ground_depth_is_height_times_focal_length_over_rows_below_the_horizon()
 
 
 def test_box_cylinder_and_sphere_are_met_where_they_stand():
-    box = solids.block(solids.Place(np.array([0.0, 20.0]), 0.0), (4.0, 3.0, 3.0), "plain", solids.BUILDING, (0, 0, 0), 0.0)
+    box = solids.block(Place(np.array([0.0, 20.0]), 0.0), (4.0, 3.0, 3.0), "plain", solids.BUILDING, (0, 0, 0), 0.0)
     post = solids.cylinder(np.array([0.0, 12.0]), 0.1, 3.0, "metal", solids.POLE, (0, 0, 0), 0.0)
     ball = solids.ellipsoid([0, -1.65, 30], [2, 2, 2], "leaves", solids.VEGETATION, (0, 0, 0), 0.0)
     middle = np.array([[0.58 * 656, 0, 300], [0, 0.58 * 656, 100], [0, 0, 1]])
@@ -114,7 +113,7 @@ def test_laser_points_agree_with_dense_depth_through_the_calibration_files(tmp_p
     velo = read_calibration(tmp_path / formats.DATE / "calib_velo_to_cam.txt")
     rectify = read_calibration(tmp_path / formats.DATE / "calib_cam_to_cam.txt")["R_rect_00"].reshape(3, 3)
     for k in (5, 30):
-        scan = laser_scan(scene, poses[k], formats.LASER_TO_CAMERA, 0.0, azimuth_step=0.35, seed=(1, k))
+        scan = laser_scan(scene, poses[k], 0.0, azimuth_step=0.35, seed=(1, k))
         depth = render_geometry(scene, poses[k], K, SIZE, 0.0)[0]
         x, y, z = matrix @ rectify @ (velo["R"].reshape(3, 3) @ scan[:, :3].T.astype(float) + velo["T"][:, None])
         u, v = np.round(x / z).astype(int), np.round(y / z).astype(int)

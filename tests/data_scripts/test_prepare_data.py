@@ -89,14 +89,6 @@ def cut(path):
     path.write_bytes(path.read_bytes()[:100])
 
 
-def test_every_frame_is_decoded_once(project, monkeypatch):
-    seen = Counter()
-    monkeypatch.setattr(prepare_data, "read_image", lambda path: seen.update([path]) or read_image(path))
-    prepared(project)
-    _, kitti, _ = project
-    assert seen == Counter([*(image_of(kitti, TRAIN, k) for k in range(6)), image_of(kitti, TEST, 0), image_of(kitti, TEST, 2)])
-
-
 def spoil_size(path):
     cv2.imwrite(str(path), read_image(path)[:90, :100])
 
@@ -109,12 +101,14 @@ SPOILT = {
 
 
 @pytest.mark.parametrize("why", SPOILT)
-def test_triplets_of_broken_frames_are_left_out_and_all_such_frames_named_in_one_line(project, capsys, why):
+def test_every_frame_is_decoded_once_and_triplets_of_broken_ones_are_left_out_and_named_in_one_line(project, monkeypatch, capsys, why):
     run, kitti, _ = project
-    spoilt = [image_of(kitti, TRAIN, index) for index in (5, 3)]
+    spoilt, seen = [image_of(kitti, TRAIN, index) for index in (5, 3)], Counter()
     for path in spoilt:
         SPOILT[why](path)
+    monkeypatch.setattr(prepare_data, "read_image", lambda path: seen.update([path]) or read_image(path))
     assert prepared(project).triplets == 1
+    assert seen == Counter([*(image_of(kitti, TRAIN, k) for k in range(6)), image_of(kitti, TEST, 0), image_of(kitti, TEST, 2)])
     told = [line for line in capsys.readouterr().out.splitlines() if "broken" in line]
     assert len(told) == 1 and told[0].startswith("2 frames are broken") and all(f"{path}: {why}" in told[0] for path in spoilt)
     triplets, drives = training_data(run, "lr")  # what a training and its card go by

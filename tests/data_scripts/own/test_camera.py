@@ -77,7 +77,7 @@ def test_a_field_of_view_that_cannot_be_is_refused(degrees):
 
 def test_a_record_is_read_back_as_the_same_camera(tmp_path, found):
     path = tmp_path / "own.json"
-    path.write_text(json.dumps({"camera": found.record()}))
+    path.write_text(json.dumps({"camera": camera.record(found)}))
     again = camera_of_file(path, SIZE)
     assert np.allclose(again.matrix, found.matrix, atol=1e-4) and again.distortion == found.distortion
     with pytest.raises(InputError, match="is of 320×240 pixels, the frames have 640×480"):
@@ -88,7 +88,6 @@ def test_a_record_is_read_back_as_the_same_camera(tmp_path, found):
     ("text", "said"),
     [
         ("{", "cannot be read"),
-        ("[1, 2]", "cannot be read"),
         ('{"fx": 290, "fy": 285, "cx": 163}', "cannot be read .*cy"),
         ('{"fx": 290, "fy": 285, "cx": 163, "cy": 117, "distortion": [1, 2, 3]}', "distortion has 3 numbers"),
     ],
