@@ -120,7 +120,7 @@ def bad_predictions():
         "four_dimensions": (good[:, None], "(3, 1, 10, 16)"),
         "integers": (good.astype(np.uint16), "uint16"),
         "no_pixels": (good[:, :0], "(3, 0, 16)"),
-        "short": (good[:2], "2 predictions but G.npz holds 3"),
+        "short": (good[:2], "holds 2 predictions but there are 3"),
     }
 
 

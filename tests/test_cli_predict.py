@@ -218,9 +218,15 @@ def test_a_video_that_ends_early_gives_what_it_has_and_says_so(clip, run, out, c
         (["gone.png"], "gone.png: "),
         (["{photos}", "--weights", "gone.safetensors"], "gone.safetensors: "),
         (["{photos}", "--save", "colour,gif"], "'gif'"),
-        (["{photos}", "--scale", "0"], "--scale 0.0"),
-        (["{photos}", "--batch-size", "0"], "--batch-size 0"),
-        (["{photos}", "--fov", "200"], "--fov 200.0"),
+        *(
+            (["{photos}", option, value], f"{option}: {value} must be")
+            for option in ("--scale", "--focal")
+            for value in ("0", "nan", "inf")
+        ),
+        *((["{photos}", "--fov", value], f"--fov: {value} must be") for value in ("0", "180")),
+        (["{photos}", "--batch-size", "0"], "--batch-size: 0 must be"),
+        (["{photos}", "--intrinsics", "1", "0", "5", "5"], "--intrinsics [1.0, 0.0, 5.0, 5.0]: the focal lengths"),
+        (["{photos}", "--intrinsics", "1", "1", "inf", "5"], "--intrinsics: inf must be"),
         (["{photos}", "--device", "tpu"], "'tpu'"),
         (["{photos}", "--out", "{photos}/a.png"], "a.png: "),
     ],

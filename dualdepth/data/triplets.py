@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from dualdepth.data.kitti import SUFFIXES, Frame, image_path, intrinsics
 from dualdepth.errors import InputError, reading
-from dualdepth.files import atomic_path
+from dualdepth.files import write_text
 
 
 class Triplet(NamedTuple):
@@ -103,10 +104,8 @@ def missing_files_error(what: str, root: str | Path, missing: Iterable[tuple[Fra
 
 def write_targets(path: str | Path, root: str | Path, targets: Iterable[Frame]) -> None:
     """Write targets as CSV `drive,camera,index,suffix`, atomically."""
-    with atomic_path(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["drive", "camera", "index", "suffix"])
-        writer.writerows([frame.drive, frame.camera, frame.index, suffix] for frame, suffix in with_suffix(root, targets))
+    rows = [(frame.drive, frame.camera, frame.index, suffix) for frame, suffix in with_suffix(root, targets)]
+    write_text(path, pd.DataFrame(rows, columns=["drive", "camera", "index", "suffix"]).to_csv(index=False))
 
 
 def with_suffix(root: str | Path, targets: Iterable[Frame]) -> list[tuple[Frame, str]]:

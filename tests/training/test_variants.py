@@ -45,7 +45,7 @@ def test_dual_holds_stage_1s_lr_net_to_the_bit_and_a_posenet_that_went_on(traine
 
 @pytest.mark.parametrize("name", ["dual", "dual_no_sa", "hr_only"])
 def test_stage_2_begins_with_stage_1s_posenet_and_a_dual_network_with_its_lr_net(trained, name):
-    stage = make_stage(trained.profile, name, start_weights(trained, trained.profile.variant(name), 0))
+    stage = make_stage(trained.profile, name, start_weights(trained, name, 0))
     assert equal(stage.pose_net.state_dict(), part(trained.weights("lr", 0), "pose_net."))
     if name == "hr_only":
         assert not hasattr(stage.depth_net, "lr_net")
@@ -55,7 +55,7 @@ def test_stage_2_begins_with_stage_1s_posenet_and_a_dual_network_with_its_lr_net
 
 
 def test_a_single_network_begins_with_nothing(trained, backbones):
-    assert start_weights(trained, trained.profile.variant("one_network"), 0) is None
+    assert start_weights(trained, "one_network", 0) is None
     torch.manual_seed(5)
     stage = make_stage(trained.profile, "one_network")
     torch.manual_seed(5)
@@ -71,7 +71,7 @@ def test_imagenets_weights_are_for_networks_that_start_from_nothing(trained, mon
     asked, build = [], Architecture.build
     monkeypatch.setattr(Architecture, "build", lambda self, pretrained=False: asked.append(pretrained) or build(self))
     profile = trained.profile.model_copy(update={"training": trained.profile.training.model_copy(update={"pretrained": True})})
-    make_stage(profile, name, start_weights(trained, profile.variant(name), 0))
+    make_stage(profile, name, start_weights(trained, name, 0))
     assert asked == [pretrained]
 
 
@@ -254,7 +254,10 @@ SPOILT = {
         lambda run: run.weights("lr", 0).unlink(),
         rf"^work/own{WEIGHTS} is missing: run notebook 03_train_lr, variant lr, seed 0",
     ),
-    "no card": (lambda run: run.weights("lr", 0).with_suffix(".json").unlink(), f"{CARD}: .*; keep it beside the weights$"),
+    "no card": (
+        lambda run: run.weights("lr", 0).with_suffix(".json").unlink(),
+        f"{CARD}: no such file; keep the weights' card beside them$",
+    ),
     "tampered": (tamper, f"{WEIGHTS}: sha256 .*; the file was changed, copy it again$"),
     "another network": (lambda run: change_card(run, network="dual"), f"{WEIGHTS}: its card has network 'dual' .*; train lr again"),
     "another version's card": (lambda run: change_card(run, **OF_BEFORE), f"{WEIGHTS}: its card has network .*; train lr again"),
