@@ -70,25 +70,21 @@ def _depth_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--pred", required=True, metavar="P.npy", help="(N, h, w) float array of predictions, any size")
     parser.add_argument("--gt", required=True, metavar="G.npz", help="ground truth of data_scripts/export_depth.py: one array per image")
     _add_choice(parser, "--kind", ("depth", "disparity"), "what P holds")
-    resized = "what is resized to the image's size: depth as SfMLearner and GeoNet, disparity as monodepth2"
-    _add_choice(parser, "--resize", ("depth", "disparity"), resized)
+    _add_choice(parser, "--resize", ("depth", "disparity"), "what is resized: depth as SfMLearner and GeoNet, disparity as monodepth2")
     _add_choice(parser, "--crop", ("garg", "eigen", "none"), "region that is scored")
     parser.add_argument("--min-depth", type=float, default=1e-3, metavar="M", help="metres (default: %(default)s)")
     parser.add_argument("--max-depth", type=float, default=80.0, metavar="M", help="metres (default: %(default)s)")
     parser.add_argument("--no-median-scaling", dest="median_scaling", action="store_false", help="predictions are in metres already")
-    counted = "pixels that count: ground truth between the depths, or all above 0, as for the improved ground truth"
-    _add_choice(parser, "--valid", ("range", "positive"), counted)
+    _add_choice(parser, "--valid", ("range", "positive"), "ground truth that counts: between the depths, or all above 0 (improved)")
     parser.add_argument("--allow-pickle", action="store_true", help="read the field's pickled gt_depths.npz; only from a source you trust")
     _add_json_and_guard(parser, "--list", "FILE", "list of the frames, as given to data_scripts/export_depth.py")
 
 
 def _odometry_options(parser: argparse.ArgumentParser) -> None:
-    file_format = "12 numbers a line ([R|t], camera to world), or 13 with the frame's number first"
-    parser.add_argument("--pred", required=True, metavar="POSES.txt", help=f"KITTI pose file: {file_format}")
+    parser.add_argument("--pred", required=True, metavar="POSES.txt", help="12 numbers a line ([R|t]), or 13 with the frame's number first")
     parser.add_argument("--gt", required=True, metavar="POSES.txt", help="the true poses of the whole sequence, in the same format")
     _add_choice(parser, "--snippet", (3, 5), "frames in a snippet")
-    laid = "how the prediction is laid on the truth before all but the snippets are scored"
-    _add_choice(parser, "--align", ("7dof", "none", "scale", "6dof", "scale_7dof"), laid)
+    _add_choice(parser, "--align", ("7dof", "none", "scale", "6dof", "scale_7dof"), "how all but snippets are laid on the truth")
     _add_json_and_guard(parser, "--sequence", "09", "KITTI odometry sequence of the poses, which tells its raw drive")
 
 
@@ -100,12 +96,8 @@ def _add_choice(parser: argparse.ArgumentParser, option: str, choices: tuple[str
 
 def _add_json_and_guard(parser: argparse.ArgumentParser, frames: str, metavar: str, meaning: str) -> None:
     """Add `--json`, and against leaks `--weights`, the option that names the frames, and `--allow-leak`."""
-    parser.add_argument(
-        "--json", metavar="OUT", help="write the numbers as flat JSON to a file, or with - to standard output alone; null: not measurable"
-    )
-    guard = parser.add_argument_group(
-        "guard against leaks", f"refuses frames of drives that the network was trained on; needs both {frames}"
-    )
+    parser.add_argument("--json", metavar="OUT", help="file for the numbers as flat JSON, - prints it alone; null: not measurable")
+    guard = parser.add_argument_group("guard against leaks", "refuses frames of drives that the network was trained on")
     guard.add_argument("--weights", metavar="W.safetensors", help="weights that predicted; their card says what they were trained on")
     guard.add_argument(frames, metavar=metavar, help=meaning)
     guard.add_argument("--allow-leak", action="store_true", help="score all the same, and mark the result")
@@ -158,19 +150,13 @@ def _predict_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--device", metavar="D", help="cpu, cuda, cuda:1, mps (default: a GPU where there is one)")
     precision = "(default: bf16 on a CUDA GPU that has it, else float32; a CPU without bf16 instructions is very slow in it)"
     parser.add_argument("--precision", choices=("float32", "bf16"), help=precision)
-    parser.add_argument(
-        "--batch-size", type=_number(int), metavar="N", help="images computed together (default: 16 on a GPU or what fits, else 1)"
-    )
-    scale = "what depth is multiplied by in all results, such as metres per unit (default: 1)"
-    parser.add_argument("--scale", type=_number(float), default=1.0, metavar="S", help=scale)
+    parser.add_argument("--batch-size", type=_number(int), metavar="N", help="images at a time (default: 16 on a GPU or what fits, else 1)")
+    parser.add_argument("--scale", type=_number(float), default=1.0, metavar="S", help="factor of depth, such as metres per unit")
     camera = parser.add_mutually_exclusive_group()
-    camera.add_argument(
-        "--intrinsics", type=_number(float, -math.inf), nargs=4, metavar=("FX", "FY", "CX", "CY"), help="in pixels of the input, for ply"
-    )
+    finite = _number(float, -math.inf)
+    camera.add_argument("--intrinsics", type=finite, nargs=4, metavar=("FX", "FY", "CX", "CY"), help="in pixels of the input, for ply")
     camera.add_argument("--focal", type=_number(float), metavar="PX", help="focal length in pixels of the input, for ply")
-    camera.add_argument(
-        "--fov", type=_number(float, below=180), metavar="DEG", help="horizontal field of view, for ply (default: KITTI's 81.4 degrees)"
-    )
+    camera.add_argument("--fov", type=_number(float, below=180), metavar="DEG", help="across the image, for ply (default: KITTI's 81.4)")
     parser.add_argument("--overwrite", action="store_true", help="make results again that would be kept")
 
 
@@ -203,9 +189,9 @@ def _evaluate_depth(arguments: argparse.Namespace) -> None:
 
 
 def _evaluate_odometry(arguments: argparse.Namespace) -> None:
-    """Score a trajectory: KITTI's segments (t_err in %, r_err in degrees per 100 m), whole (ate, rpe_t in m, rpe_r in degrees), and
-    SfMLearner's snippets (snippet_ate, sqrt(sum)/N in m; n snippets of consecutive frames). What the frames cannot give, such as
-    segments of a path below 100 m, is none, and why stands on stderr.
+    """Score a trajectory, camera to world: KITTI's segments (t_err in %, r_err in degrees per 100 m), whole (ate, rpe_t in m, rpe_r in
+    degrees), and SfMLearner's snippets (snippet_ate, sqrt(sum)/N in m; n snippets of consecutive frames). What the frames cannot give,
+    such as segments of a path below 100 m, is none, and why stands on stderr.
     """
     from dualdepth.data.odometry import drives_to_guard, pair_frames, read_trajectory
     from dualdepth.evaluation.odometry import SEGMENTS, snippet_errors, snippets, trajectory_errors

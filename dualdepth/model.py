@@ -2,12 +2,12 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from huggingface_hub import ModelCard, ModelHubMixin, snapshot_download
-from pydantic import Field, ValidationError
+from pydantic import ValidationError
 from torch import Tensor, nn
 from tqdm import tqdm
 
@@ -17,14 +17,12 @@ from dualdepth.device import Precision, choose_device, inference_precision
 from dualdepth.errors import InputError, first_mistake
 from dualdepth.evaluation.depth import resize_bilinear
 from dualdepth.geometry import low_resolution, pose_matrix, to_unit
-from dualdepth.networks.architecture import Architecture
+from dualdepth.networks.architecture import Architecture, HRSize
 from dualdepth.networks.pose_net import PoseNet
 from dualdepth.training.weights import HUB_CARD, load_card, load_weights, save_weights
 
 UNIT = 16.0
 """Relative depth is reported as 16 / disparity (1.6 … 1600). Stored as uint16 × 256, as KITTI's, that resolves near depths to 0.25 %."""
-Side = Annotated[int, Field(strict=True, multiple_of=96, ge=192, le=10_000)]
-"""Pixels of a side of the images that a card may announce."""
 WEIGHTS = "model.safetensors"
 HUB_OPTIONS = ("revision", "cache_dir", "token", "local_files_only", "force_download")
 README = """---
@@ -51,7 +49,7 @@ Image = str | Path | np.ndarray
 class _Card(Architecture):
     """The words of a card that say which network it is, and (height, width) of its images."""
 
-    hr_size: tuple[Side, Side]
+    hr_size: HRSize
 
 
 class DepthModel(nn.Module, ModelHubMixin):
@@ -221,14 +219,6 @@ def load(weights: str | Path, device: str | torch.device | None = None, precisio
     Raises:
         InputError: the weights or their card are missing, damaged, changed (sha256) or of another network, or the device or precision
             is not to be had.
-
-    >>> import tempfile, numpy as np, dualdepth
-    >>> folder = tempfile.TemporaryDirectory()
-    >>> dualdepth.DepthModel({"network": "hr", "hr_size": [192, 288]}).save_pretrained(folder.name)  # stands for trained weights
-    >>> model = dualdepth.load(folder.name)
-    >>> model.predict(np.zeros((375, 1242, 3), np.uint8)).shape
-    (375, 1242)
-    >>> folder.cleanup()
     """
     return DepthModel.from_pretrained(weights, device=device, precision=precision)
 

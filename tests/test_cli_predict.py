@@ -147,15 +147,6 @@ def test_a_run_that_is_stopped_goes_on_where_it_was(photos, run, out, stop_at, c
     assert not list(out.glob(".*.part*")) and len(visible(out)) == 13
 
 
-def test_results_beside_their_inputs_do_not_become_inputs(photos, run, capsys):
-    """By default a picture and a PNG each."""
-    before = len(visible(photos))
-    for expected in ("6 predicted\n", "0 predicted, 6 were there\n"):
-        assert run(photos, "--out", photos) == 0
-        assert capsys.readouterr().out.endswith(expected)
-    assert {"a.colour.png", "a.depth.png", "predictions.json"} < set(visible(photos)) and len(visible(photos)) == before + 13
-
-
 @pytest.mark.parametrize(
     ("words", "scale", "unit"), [(["--scale", 2.5], 2.5, "relative depth x2.5"), (["--batch-size", 4], 1, "relative depth")]
 )

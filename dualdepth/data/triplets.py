@@ -74,14 +74,9 @@ def _numbers(folder: Path) -> set[int]:
 
 def missing_neighbours(root: str | Path, targets: Iterable[Frame]) -> list[Frame]:
     """Frames of the targets' triplets that have no image file; each folder is listed once."""
-    have: dict[Path, set[int]] = {}
-    missing: set[Frame] = set()
-    for target in targets:
-        folder = Path(root) / target.drive / target.camera / "data"
-        if folder not in have:
-            have[folder] = _numbers(folder)
-        missing |= {target._replace(index=target.index + k) for k in (-1, 0, 1) if target.index + k not in have[folder]}
-    return sorted(missing)
+    have = functools.cache(lambda drive, camera: _numbers(Path(root) / drive / camera / "data"))
+    frames = {target._replace(index=target.index + offset) for target in targets for offset in (-1, 0, 1)}
+    return sorted(frame for frame in frames if frame.index not in have(frame.drive, frame.camera))
 
 
 def missing_files_error(what: str, root: str | Path, missing: Iterable[tuple[Frame, str]]) -> InputError:

@@ -1,13 +1,18 @@
 """Which depth network it is, in words that fit into a weights' card, and how it is built from them; torch is loaded only to build one."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from dualdepth.networks import Link, Network, Normalise, Similarity
 
 if TYPE_CHECKING:
     from torch import nn
+
+
+_Side = Annotated[int, Field(strict=True, multiple_of=96, ge=192, le=10_000)]
+HRSize = tuple[_Side, _Side]
+"""(height, width) of HR-Net's images in pixels; 1/96 of a side, LR-Net's deepest map, must have room to be reflected."""
 
 
 class Design(BaseModel):
