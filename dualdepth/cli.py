@@ -96,8 +96,8 @@ def _add_choice(parser: argparse.ArgumentParser, option: str, choices: tuple[str
 
 def _add_json_and_guard(parser: argparse.ArgumentParser, frames: str, metavar: str, meaning: str) -> None:
     """Add `--json`, and against leaks `--weights`, the option that names the frames, and `--allow-leak`."""
-    parser.add_argument("--json", metavar="OUT", help="file for the numbers as flat JSON, - prints it alone; null: not measurable")
-    guard = parser.add_argument_group("guard against leaks", "refuses frames of drives that the network was trained on")
+    parser.add_argument("--json", metavar="OUT", help="write the numbers as flat JSON to a file, - prints them alone; null: not measurable")
+    guard = parser.add_argument_group("guard against leaks", f"refuses frames of drives that were trained on; needs --weights and {frames}")
     guard.add_argument("--weights", metavar="W.safetensors", help="weights that predicted; their card says what they were trained on")
     guard.add_argument(frames, metavar=metavar, help=meaning)
     guard.add_argument("--allow-leak", action="store_true", help="score all the same, and mark the result")
@@ -151,7 +151,7 @@ def _predict_options(parser: argparse.ArgumentParser) -> None:
     precision = "(default: bf16 on a CUDA GPU that has it, else float32; a CPU without bf16 instructions is very slow in it)"
     parser.add_argument("--precision", choices=("float32", "bf16"), help=precision)
     parser.add_argument("--batch-size", type=_number(int), metavar="N", help="images at a time (default: 16 on a GPU or what fits, else 1)")
-    parser.add_argument("--scale", type=_number(float), default=1.0, metavar="S", help="factor of depth, such as metres per unit")
+    parser.add_argument("--scale", type=_number(float), default=1.0, help="what depth is multiplied by, such as metres per unit")
     camera = parser.add_mutually_exclusive_group()
     finite = _number(float, -math.inf)
     camera.add_argument("--intrinsics", type=finite, nargs=4, metavar=("FX", "FY", "CX", "CY"), help="in pixels of the input, for ply")

@@ -110,8 +110,10 @@ def test_the_lock_is_free_again_when_its_holder_was_killed(tmp_path, held):
     os.kill(holder.pid, signal.SIGKILL)
     holder.wait()
     assert str(holder.pid) in (tmp_path / "lock").read_text()
-    with locked(tmp_path / "lock"):
-        assert f"process {os.getpid()} on " in (tmp_path / "lock").read_text()
+    for _ in range(2):  # and after a run that failed
+        with pytest.raises(ZeroDivisionError), locked(tmp_path / "lock"):
+            assert f"process {os.getpid()} on " in (tmp_path / "lock").read_text()
+            _ = 1 / 0
 
 
 def test_the_program_that_a_process_becomes_does_not_hold_its_lock(tmp_path, held):
