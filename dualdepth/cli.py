@@ -1,6 +1,7 @@
 """The command `dualdepth`: what each subcommand takes, and the functions that it calls; these are imported when they are called."""
 
 import argparse
+import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -10,8 +11,7 @@ from dualdepth import __version__
 from dualdepth.errors import InputError, exit_on_input_error
 from dualdepth.run import add_roots
 
-Commands = "argparse._SubParsersAction[argparse.ArgumentParser]"
-"""What `add_subparsers` gives."""
+PROFILE = "tiny, miniature, sample, paper, own, or a YAML file (default: %(default)s)"
 
 
 class OneLineParser(argparse.ArgumentParser):
@@ -38,65 +38,54 @@ def main(argv: list[str] | None = None) -> int:
     arguments = build_parser().parse_args(argv)
     with exit_on_input_error():
         try:
-            return arguments.run(arguments)
+            return arguments.run(arguments) or 0
         except KeyboardInterrupt:
             print("stopped; the same command goes on where it was", file=sys.stderr)
             return 130
 
 
 def build_parser() -> argparse.ArgumentParser:
-    """The parser with all subcommands; each sets `run`, a function of the parsed arguments that returns the exit code."""
+    """The parser with all subcommands; each sets `run`, a function of the parsed arguments that returns the exit code, or None for 0."""
     parser = OneLineParser(prog="dualdepth", description="Dual networks for high-resolution depth from videos (ICCV 2019), replicated.")
     parser.add_argument("--version", action="version", version=f"dualdepth {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    kinds = commands.add_parser("evaluate", help="score predictions by the field's protocols").add_subparsers(
-        title="what to evaluate", metavar="KIND", required=True
-    )
-    _add_depth(kinds)
-    _add_odometry(kinds)
-    _add_chain(commands)
-    _add_predict(commands)
-    _add_export(commands)
+    evaluate = commands.add_parser("evaluate", help="score predictions by the field's protocols")
+    kinds = evaluate.add_subparsers(title="what to evaluate", metavar="KIND", required=True)
+    for place, name, add_options, run, meaning in (
+        (kinds, "depth", _depth_options, _evaluate_depth, "the seven depth metrics of a prediction file"),
+        (kinds, "odometry", _odometry_options, _evaluate_odometry, "errors of a camera trajectory against the true one"),
+        (commands, "reproduce", _reproduce_options, _reproduce, "run all notebooks of a profile in order, and only what is not done yet"),
+        (commands, "train", _train_options, _train, "train one variant of a profile, or go on with it"),
+        (commands, "notebook", _notebook_options, _notebook, "run one notebook by papermill"),
+        (commands, "predict", _predict_options, _predict, "depth of images, folders and videos with trained weights"),
+        (commands, "export", _export_options, _export, "write a trained depth network as an ONNX file"),
+    ):
+        command = place.add_parser(name, help=meaning, description=run.__doc__)
+        add_options(command)
+        command.set_defaults(run=run)
     return parser
 
 
-def _add_depth(kinds: Commands) -> None:
-    parser = kinds.add_parser(
-        "depth",
-        help="the seven depth metrics of a prediction file",
-        description="Score depth predictions by the field's protocol (Eigen split) and print the means over images.",
-    )
+def _depth_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--pred", required=True, metavar="P.npy", help="(N, h, w) float array of predictions, any size")
     parser.add_argument("--gt", required=True, metavar="G.npz", help="ground truth of data_scripts/export_depth.py: one array per image")
     _add_choice(parser, "--kind", ("depth", "disparity"), "what P holds")
-    resized = "what is resized to the image's size: depth as SfMLearner and GeoNet, disparity as monodepth2"
-    _add_choice(parser, "--resize", ("depth", "disparity"), resized)
+    _add_choice(parser, "--resize", ("depth", "disparity"), "what is resized: depth as SfMLearner and GeoNet, disparity as monodepth2")
     _add_choice(parser, "--crop", ("garg", "eigen", "none"), "region that is scored")
     parser.add_argument("--min-depth", type=float, default=1e-3, metavar="M", help="metres (default: %(default)s)")
     parser.add_argument("--max-depth", type=float, default=80.0, metavar="M", help="metres (default: %(default)s)")
     parser.add_argument("--no-median-scaling", dest="median_scaling", action="store_false", help="predictions are in metres already")
-    counted = "pixels that count: ground truth between the depths, or all above 0, as for the improved ground truth"
-    _add_choice(parser, "--valid", ("range", "positive"), counted)
+    _add_choice(parser, "--valid", ("range", "positive"), "ground truth that counts: between the depths, or all above 0 (improved)")
     parser.add_argument("--allow-pickle", action="store_true", help="read the field's pickled gt_depths.npz; only from a source you trust")
     _add_json_and_guard(parser, "--list", "FILE", "list of the frames, as given to data_scripts/export_depth.py")
-    parser.set_defaults(run=_evaluate_depth)
 
 
-def _add_odometry(kinds: Commands) -> None:
-    parser = kinds.add_parser(
-        "odometry",
-        help="errors of a camera trajectory against the true one",
-        description="Score a trajectory: KITTI's segments (t_err in %, r_err in degrees per 100 m), whole (ate, rpe_t in m, rpe_r in"
-        " degrees), and SfMLearner's snippets (snippet_ate, sqrt(sum)/N in m; n snippets of consecutive frames).",
-    )
-    file_format = "12 numbers a line ([R|t], camera to world), or 13 with the frame's number first"
-    parser.add_argument("--pred", required=True, metavar="POSES.txt", help=f"KITTI pose file: {file_format}")
+def _odometry_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--pred", required=True, metavar="POSES.txt", help="12 numbers a line ([R|t]), or 13 with the frame's number first")
     parser.add_argument("--gt", required=True, metavar="POSES.txt", help="the true poses of the whole sequence, in the same format")
     _add_choice(parser, "--snippet", (3, 5), "frames in a snippet")
-    laid = "how the prediction is laid on the truth before all but the snippets are scored"
-    _add_choice(parser, "--align", ("7dof", "none", "scale", "6dof", "scale_7dof"), laid)
+    _add_choice(parser, "--align", ("7dof", "none", "scale", "6dof", "scale_7dof"), "how all but snippets are laid on the truth")
     _add_json_and_guard(parser, "--sequence", "09", "KITTI odometry sequence of the poses, which tells its raw drive")
-    parser.set_defaults(run=_evaluate_odometry)
 
 
 def _add_choice(parser: argparse.ArgumentParser, option: str, choices: tuple[str | int, ...], meaning: str) -> None:
@@ -107,47 +96,46 @@ def _add_choice(parser: argparse.ArgumentParser, option: str, choices: tuple[str
 
 def _add_json_and_guard(parser: argparse.ArgumentParser, frames: str, metavar: str, meaning: str) -> None:
     """Add `--json`, and against leaks `--weights`, the option that names the frames, and `--allow-leak`."""
-    parser.add_argument(
-        "--json", metavar="OUT", help="write the numbers as flat JSON to a file, or with - to standard output alone; null: not measurable"
-    )
-    guard = parser.add_argument_group(
-        "guard against leaks", f"refuses frames of drives that the network was trained on; needs both {frames}"
-    )
+    parser.add_argument("--json", metavar="OUT", help="write the numbers as flat JSON to a file, - prints them alone; null: not measurable")
+    guard = parser.add_argument_group("guard against leaks", f"refuses frames of drives that were trained on; needs --weights and {frames}")
     guard.add_argument("--weights", metavar="W.safetensors", help="weights that predicted; their card says what they were trained on")
     guard.add_argument(frames, metavar=metavar, help=meaning)
     guard.add_argument("--allow-leak", action="store_true", help="score all the same, and mark the result")
 
 
-def _add_chain(commands: Commands) -> None:
-    """Add `reproduce`, `train` and `notebook`: the chain of notebooks, one training by hand or under SLURM, one notebook."""
-    reproduce = commands.add_parser("reproduce", help="run all notebooks of a profile in order, and only what is not done yet")
-    train = commands.add_parser("train", help="train one variant of a profile, or go on with it")
-    for parser in (reproduce, train):
-        names = "tiny, miniature, sample, paper, own, or a YAML file (default: %(default)s)"
-        parser.add_argument("--profile", default="miniature", help=names)
-    add_roots(reproduce)
-    reproduce.add_argument("--seeds", default="", metavar="0,1,2", help="seeds to train instead of the profile's")
-    reproduce.add_argument("--cores", default="all", help="cores Snakemake may use (default: %(default)s)")
-    reproduce.add_argument("snakemake", nargs="*", metavar="-- OPTION", help="after --: options for Snakemake, such as --executor slurm")
-    reproduce.set_defaults(run=_reproduce)
-    train.add_argument("--variant", default="lr", help="which network (default: %(default)s)")
-    train.add_argument("--seed", type=int, default=0, help="of initialisation, order and augmentation (default: %(default)s)")
-    train.set_defaults(run=_train)
-    notebook = commands.add_parser("notebook", help="run one notebook by papermill")
-    notebook.add_argument("name", help="such as 03_train_lr")
-    notebook.add_argument("--out", required=True, metavar="FILE", help="where the executed copy goes")
-    notebook.add_argument("--set", nargs="*", default=[], metavar="KEY=VALUE", help="the notebook's parameters")
-    notebook.set_defaults(run=_notebook)
+def _reproduce_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--profile", default="miniature", help=PROFILE)
+    add_roots(parser)
+    parser.add_argument("--seeds", default="", metavar="0,1,2", help="seeds to train instead of the profile's")
+    parser.add_argument("--cores", default="all", help="cores Snakemake may use (default: %(default)s)")
+    parser.add_argument("snakemake", nargs="*", metavar="-- OPTION", help="after --: options for Snakemake, such as --executor slurm")
 
 
-def _add_predict(commands: Commands) -> None:
-    parser = commands.add_parser(
-        "predict",
-        help="depth of images, folders and videos with trained weights",
-        description="Predict relative depth of images and videos of any size, at their own size. Depth is relative: its unit is unknown."
-        " A broken file is named and skipped, and the exit code is then 1. The same command goes on where it was stopped: a"
-        " result is kept unless its input, the weights or an option that shapes results has changed since.",
-    )
+def _train_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--profile", default="miniature", help=PROFILE)
+    parser.add_argument("--variant", default="lr", help="which network (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="of initialisation, order and augmentation (default: %(default)s)")
+
+
+def _notebook_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("name", help="such as 03_train_lr")
+    parser.add_argument("--out", required=True, metavar="FILE", help="where the executed copy goes")
+    parser.add_argument("--set", nargs="*", default=[], metavar="KEY=VALUE", help="the notebook's parameters")
+
+
+def _number(kind: type, above: float = 0, below: float = math.inf) -> Callable[[str], float]:
+    """The type of an option that is a number between two others; argparse names the option and what it was given instead."""
+
+    def number(text: str) -> float:
+        value = kind(text)
+        if not above < value < below:
+            raise argparse.ArgumentTypeError(f"{text} must be above {above:g} and below {below:g}")
+        return value
+
+    return number
+
+
+def _predict_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("inputs", nargs="+", metavar="INPUT", help="image, video, folder of them, or pattern in quotes ('in/**/*.jpg')")
     weights = "model.safetensors with its card beside it, its folder, or owner/name on the model hub"
     parser.add_argument("--weights", required=True, metavar="W", help=weights)
@@ -162,34 +150,25 @@ def _add_predict(commands: Commands) -> None:
     parser.add_argument("--device", metavar="D", help="cpu, cuda, cuda:1, mps (default: a GPU where there is one)")
     precision = "(default: bf16 on a CUDA GPU that has it, else float32; a CPU without bf16 instructions is very slow in it)"
     parser.add_argument("--precision", choices=("float32", "bf16"), help=precision)
-    parser.add_argument("--batch-size", type=int, metavar="N", help="images computed together (default: 16 on a GPU or what fits, else 1)")
-    scale = "what depth is multiplied by in all results, such as metres per unit (default: 1)"
-    parser.add_argument("--scale", type=float, default=1.0, metavar="S", help=scale)
+    parser.add_argument("--batch-size", type=_number(int), metavar="N", help="images at a time (default: 16 on a GPU or what fits, else 1)")
+    parser.add_argument("--scale", type=_number(float), default=1.0, help="what depth is multiplied by, such as metres per unit")
     camera = parser.add_mutually_exclusive_group()
-    camera.add_argument("--intrinsics", type=float, nargs=4, metavar=("FX", "FY", "CX", "CY"), help="in pixels of the input, for ply")
-    camera.add_argument("--focal", type=float, metavar="PX", help="focal length in pixels of the input, for ply")
-    camera.add_argument("--fov", type=float, metavar="DEG", help="horizontal field of view, for ply (default: KITTI's 81.4 degrees)")
+    finite = _number(float, -math.inf)
+    camera.add_argument("--intrinsics", type=finite, nargs=4, metavar=("FX", "FY", "CX", "CY"), help="in pixels of the input, for ply")
+    camera.add_argument("--focal", type=_number(float), metavar="PX", help="focal length in pixels of the input, for ply")
+    camera.add_argument("--fov", type=_number(float, below=180), metavar="DEG", help="across the image, for ply (default: KITTI's 81.4)")
     parser.add_argument("--overwrite", action="store_true", help="make results again that would be kept")
-    parser.set_defaults(run=_predict)
 
 
-def _add_export(commands: Commands) -> None:
-    parser = commands.add_parser(
-        "export",
-        help="write a trained depth network as an ONNX file",
-        description="Write a trained depth network as one ONNX file: image (B, 3, H, W), RGB, float32 in [0, 1] -> disparity (B, 1, h, w)"
-        " of unknown scale; B is free. `dualdepth predict` gives depth = 16 / disparity."
-        " It is compared with PyTorch in ONNX Runtime, and kept only if they agree to a thousandth.",
-    )
+def _export_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--to", required=True, choices=("onnx",), help="format of the file")
     parser.add_argument("--weights", required=True, metavar="W.safetensors", help="of a training; their card (.json) lies beside them")
     parser.add_argument("--out", required=True, metavar="DEPTH.onnx", help="file to write")
     parser.add_argument("--frames", nargs="+", default=[], metavar="IMAGE", help="compare on these images (default: three made-up ones)")
-    parser.set_defaults(run=_export)
 
 
-def _evaluate_depth(arguments: argparse.Namespace) -> int:
-    """Score a file of predictions."""
+def _evaluate_depth(arguments: argparse.Namespace) -> None:
+    """Score depth predictions by the field's protocol (Eigen split) and print the means over images."""
     from dataclasses import fields
 
     from tqdm import tqdm
@@ -199,26 +178,21 @@ def _evaluate_depth(arguments: argparse.Namespace) -> int:
     from dualdepth.evaluation.depth import Protocol, evaluate, load_predictions, summary
 
     protocol = {field.name: getattr(arguments, field.name) for field in fields(Protocol)}
-    Protocol(**protocol)
     leak = _leak_of(arguments, arguments.list, "--list", lambda path: sorted({frame.drive for frame in read_frame_list(path)}))
     predictions = load_predictions(arguments.pred)
     ground_truths = load_ground_truth(arguments.gt, allow_pickle=arguments.allow_pickle)
-    count = len(ground_truths)
-    if arguments.list and (frames := len(read_frame_list(arguments.list))) != count:
-        raise InputError(f"{arguments.list}: lists {frames} frames but {arguments.gt} holds {count}; give the list it was made from")
-    if len(predictions) != count:
-        held = f"holds {len(predictions)} predictions but {arguments.gt} holds {count} ground truths"
-        raise InputError(f"{arguments.pred}: {held}; give one for each, in the same order")
+    if arguments.list and (frames := len(read_frame_list(arguments.list))) != (held := len(ground_truths)):
+        raise InputError(f"{arguments.list}: lists {frames} frames but {arguments.gt} holds {held}; give the list it was made from")
     # shown in a terminal only: a bar in a pipe would break the one-line error
     shown = tqdm(ground_truths, "scoring", unit="image", disable=None, leave=False)
     _report(summary(evaluate(predictions, shown, name=arguments.pred, **protocol)) | leak, arguments.json)
-    return 0
 
 
-def _evaluate_odometry(arguments: argparse.Namespace) -> int:
-    """Score a trajectory; what its frames cannot give, such as segments of a path below 100 m, is None, and why stands on stderr."""
-    import math
-
+def _evaluate_odometry(arguments: argparse.Namespace) -> None:
+    """Score a trajectory, camera to world: KITTI's segments (t_err in %, r_err in degrees per 100 m), whole (ate, rpe_t in m, rpe_r in
+    degrees), and SfMLearner's snippets (snippet_ate, sqrt(sum)/N in m; n snippets of consecutive frames). What the frames cannot give,
+    such as segments of a path below 100 m, is none, and why stands on stderr.
+    """
     from dualdepth.data.odometry import drives_to_guard, pair_frames, read_trajectory
     from dualdepth.evaluation.odometry import SEGMENTS, snippet_errors, snippets, trajectory_errors
 
@@ -240,7 +214,6 @@ def _evaluate_odometry(arguments: argparse.Namespace) -> int:
         if math.isnan(numbers[name]):
             print(f"note: {reason}", file=sys.stderr)
     _report({name: None if math.isnan(value) else value for name, value in numbers.items()} | {"n": len(ate)} | leak, arguments.json)
-    return 0
 
 
 def _leak_of(arguments: argparse.Namespace, given: str | None, option: str, drives: Callable[[str], list[str]]) -> dict[str, str]:
@@ -280,6 +253,7 @@ def _report(result: dict[str, float | int | str | None], json_out: str | None) -
 
 
 def _reproduce(arguments: argparse.Namespace) -> NoReturn:
+    """Run all notebooks of a profile in order, and only what is not done yet."""
     from dualdepth.notebooks import run_chain
     from dualdepth.run import ROOTS
 
@@ -287,15 +261,15 @@ def _reproduce(arguments: argparse.Namespace) -> NoReturn:
     run_chain(arguments.profile, given, arguments.seeds, arguments.allow_leak, arguments.cores, arguments.snakemake)
 
 
-def _notebook(arguments: argparse.Namespace) -> int:
+def _notebook(arguments: argparse.Namespace) -> None:
+    """Run one notebook by papermill."""
     from dualdepth.notebooks import parse_parameters, run_notebook
 
     run_notebook(arguments.name, arguments.out, parse_parameters(arguments.set))
-    return 0
 
 
-def _train(arguments: argparse.Namespace) -> int:
-    """Train and say where the weights are."""
+def _train(arguments: argparse.Namespace) -> None:
+    """Train one variant of a profile, or go on with it, and say where the weights are."""
     from dualdepth.device import is_main_process
     from dualdepth.run import Run
     from dualdepth.training.variants import train_variant
@@ -305,38 +279,40 @@ def _train(arguments: argparse.Namespace) -> int:
     weights = train_variant(Run(arguments.profile), arguments.variant, arguments.seed)
     if is_main_process():
         print(weights)
-    return 0
 
 
 def _predict(arguments: argparse.Namespace) -> int:
-    """Predict all inputs; 1 where some were broken. Mistakes in what is given are told before the weights are loaded."""
-    from dualdepth.inference.results import Style, parse_kinds
-
-    if arguments.batch_size is not None and arguments.batch_size < 1:
-        raise InputError(f"--batch-size {arguments.batch_size}: must be at least 1")
-    intrinsics = tuple(arguments.intrinsics) if arguments.intrinsics else None
-    style = Style("", arguments.scale, intrinsics, arguments.focal, arguments.fov).check()
-    kinds = parse_kinds(arguments.save)
-
+    """Predict relative depth of images and videos of any size, at their own size. Depth is relative: its unit is unknown. A broken file is
+    named and skipped, and the exit code is then 1. The same command goes on where it was stopped: a result is kept unless its input, the
+    weights or an option that shapes results has changed since.
+    """
     from dualdepth.device import keep_freed_memory
     from dualdepth.files import check_writable
     from dualdepth.inference.files import find_inputs, predict_files
+    from dualdepth.inference.results import Style, parse_kinds
     from dualdepth.model import load
 
-    paths = find_inputs(arguments.inputs)
+    if arguments.intrinsics and min(arguments.intrinsics[:2]) <= 0:
+        raise InputError(f"--intrinsics {arguments.intrinsics}: the focal lengths must be positive")
+    kinds, paths = parse_kinds(arguments.save), find_inputs(arguments.inputs)
     keep_freed_memory()
     model = load(arguments.weights, arguments.device, arguments.precision)
     check_writable(arguments.out)
     print(f"{arguments.weights}: {model.about}", flush=True)
-    style, options = style._replace(about=model.about), {"batch_size": arguments.batch_size, "overwrite": arguments.overwrite}
-    return 0 if predict_files(paths, Path(arguments.out), model, style, kinds=kinds, **options) else 1
+    intrinsics = tuple(arguments.intrinsics) if arguments.intrinsics else None
+    style = Style(model.about, arguments.scale, intrinsics, arguments.focal, arguments.fov)
+    options = {"kinds": kinds, "batch_size": arguments.batch_size, "overwrite": arguments.overwrite}
+    return int(not predict_files(paths, Path(arguments.out), model, style, **options))
 
 
-def _export(arguments: argparse.Namespace) -> int:
+def _export(arguments: argparse.Namespace) -> None:
+    """Write a trained depth network as one ONNX file: image (B, 3, H, W), RGB, float32 in [0, 1] -> disparity (B, 1, h, w) of unknown
+    scale; B is free. `dualdepth predict` gives depth = 16 / disparity. It is compared with PyTorch in ONNX Runtime, and kept only if they
+    agree to a thousandth.
+    """
     from dualdepth.inference.export import export_onnx
 
     print(export_onnx(arguments.weights, arguments.out, arguments.frames))
-    return 0
 
 
 if __name__ == "__main__":

@@ -41,8 +41,8 @@ def reading(path: str | Path, mend: str) -> Iterator[None]:
         raise InputError(f"{path}: no such file; {mend}") from None
     except Exception as error:
         where = getattr(error, "filename", None) or path  # the system says which folder or file may not be touched
-        reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
-        raise InputError(f"{where}: cannot be read ({' '.join(reason.split())}); {mend}") from None
+        reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"  # of torch it fills a screen
+        raise InputError(f"{where}: cannot be read ({' '.join(reason.split())[:200]}); {mend}") from None
 
 
 @contextlib.contextmanager

@@ -41,12 +41,11 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
 _PARTIAL = re.compile(r"\..+\.[0-9a-f]{8}\.part(\.\w+)?")
 
 
-def remove_leftovers(folder: str | Path, below: bool = True) -> int:
-    """Remove the temporary files that killed writers left in a folder, and `below` it; for who holds its lock. Returns how many."""
-    found = [path for path in Path(folder).glob("**/.*.part*" if below else ".*.part*") if _PARTIAL.fullmatch(path.name)]
-    for path in found:
-        path.unlink(missing_ok=True)
-    return len(found)
+def remove_leftovers(folder: str | Path, below: bool = True) -> None:
+    """Remove the temporary files that killed writers left in a folder, and `below` it; for who holds its lock."""
+    for path in list(Path(folder).glob("**/.*.part*" if below else ".*.part*")):
+        if _PARTIAL.fullmatch(path.name):
+            path.unlink(missing_ok=True)
 
 
 def check_writable(folder: str | Path) -> None:

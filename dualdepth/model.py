@@ -7,23 +7,22 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from huggingface_hub import ModelCard, ModelHubMixin, snapshot_download
+from pydantic import ValidationError
 from torch import Tensor, nn
 from tqdm import tqdm
 
 from dualdepth.data.frames import resample
 from dualdepth.data.kitti import read_image
 from dualdepth.device import Precision, choose_device, inference_precision
-from dualdepth.errors import InputError
+from dualdepth.errors import InputError, first_mistake
 from dualdepth.evaluation.depth import resize_bilinear
 from dualdepth.geometry import low_resolution, pose_matrix, to_unit
-from dualdepth.networks.architecture import Architecture
+from dualdepth.networks.architecture import Architecture, HRSize
 from dualdepth.networks.pose_net import PoseNet
 from dualdepth.training.weights import HUB_CARD, load_card, load_weights, save_weights
 
 UNIT = 16.0
 """Relative depth is reported as 16 / disparity (1.6 … 1600). Stored as uint16 × 256, as KITTI's, that resolves near depths to 0.25 %."""
-LARGEST_FRAME = 10**8
-"""Pixels of a frame that a card may announce."""
 WEIGHTS = "model.safetensors"
 HUB_OPTIONS = ("revision", "cache_dir", "token", "local_files_only", "force_download")
 README = """---
@@ -47,8 +46,14 @@ Image = str | Path | np.ndarray
 """An image file (turned as its EXIF data say; grey, 16-bit and transparent ones are read as 8-bit RGB), or (H, W, 3) uint8 RGB."""
 
 
+class _Card(Architecture):
+    """The words of a card that say which network it is, and (height, width) of its images."""
+
+    hr_size: HRSize
+
+
 class DepthModel(nn.Module, ModelHubMixin):
-    """A depth network with its card: images in, relative depth out. `dualdepth.load` makes one from weights.
+    """A depth network with its card: images in, relative depth out. `dualdepth.load` makes one of what `save_pretrained` writes.
 
     Args:
         card: names the network (`network`, `encoder`, `link`, `similarity`, `normalise`, as far as they are not the defaults of
@@ -60,7 +65,7 @@ class DepthModel(nn.Module, ModelHubMixin):
     Raises:
         InputError: the card names no network of this project, or the device or precision is not to be had.
 
-    >>> import tempfile, numpy as np, dualdepth
+    >>> import numpy as np, dualdepth
     >>> model = dualdepth.DepthModel({"network": "hr", "hr_size": [192, 288]}, device="cpu")  # untrained
     >>> model.about
     'Depth is relative: its unit is unknown. The card does not say what these weights were learned from.'
@@ -68,14 +73,6 @@ class DepthModel(nn.Module, ModelHubMixin):
     >>> depth = model.predict(image)
     >>> depth.shape, depth.dtype.name, bool((depth > 0).all())
     ((60, 200), 'float32', True)
-
-    It is saved with its card, and loaded from a folder or from the model hub:
-
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     model.save_pretrained(folder)
-    ...     again = dualdepth.DepthModel.from_pretrained(folder, device="cpu")
-    >>> bool((again.predict(image) == depth).all())
-    True
     """
 
     def __init__(
@@ -284,13 +281,11 @@ def _of_card(card: dict[str, Any], source: object, *needed: str) -> tuple[Archit
     try:
         if missing := [name for name in ("network", "hr_size", *needed) if name not in card]:
             raise ValueError(f"{missing[0]} is missing")
-        match card["hr_size"]:
-            case [int(height), int(width)] if not (height % 96 or width % 96) and min(height, width) >= 192:
-                if height * width <= LARGEST_FRAME:
-                    return Architecture.of_card(card), (height, width)
-        raise ValueError(f"hr_size {card['hr_size']!r:.60}: both sides must be multiples of 96, at least 192")
+        found = _Card.model_validate(card)
     except ValueError as error:
-        raise InputError(f"{source}: names no network of this project ({error}); keep the card that was written with it") from None
+        wrong = first_mistake(error) if isinstance(error, ValidationError) else error
+        raise InputError(f"{source}: names no network of this project ({wrong}); keep the card that was written with it") from None
+    return Architecture(**found.model_dump(exclude={"hr_size"})), found.hr_size
 
 
 def _rgb(image: Image, read: Callable[[str | Path], np.ndarray]) -> np.ndarray:

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from dualdepth.networks import Network
-from dualdepth.networks.architecture import Design
+from dualdepth.networks.architecture import Design, HRSize
 
 Size = Annotated[tuple[int, int], Field(description="(height, width) in pixels")]
 
@@ -94,13 +94,11 @@ class Data(Settings):
     """Odometry sequences to train on, with `:image_0` for another camera than image_2; the paper's. The synthetic world has its own."""
     odometry_test: list[str] = ["09", "10"]
     """Odometry sequences to score; the paper's. The synthetic world has its own."""
-    hr_size: Size = (384, 1248)
+    hr_size: HRSize = (384, 1248)
     """Input of HR-Net; LR-Net sees exactly a third of it (paper, section "Dual Network Architecture")."""
 
     @model_validator(mode="after")
-    def _sizes(self) -> "Data":
-        if any(side % 96 or side < 192 for side in self.hr_size):
-            raise ValueError(f"hr_size {self.hr_size}: both sides must be multiples of 96, at least 192 (1/96 of them is reflected)")
+    def _lists(self) -> "Data":
         if self.source == "kitti" and bool(self.train_list) == bool(self.train_drives):
             raise ValueError("give either train_list or train_drives")
         if self.source == "own" and (self.train_list or self.train_drives or self.test_list):

@@ -5,6 +5,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from dualdepth.data.triplets import drive_triplets, load_triplets, write_targets
+
 DRIVE = "2011_09_26/2011_09_26_drive_0001_sync"
 SHIFT = 6
 """Pixels that the wall moves to the left in each frame."""
@@ -51,3 +53,10 @@ def write_sequence(root, name, frames, camera="image_2", size=(208, 208), calibr
     poses = Path(root) / "poses" / f"{name}.txt"
     poses.parent.mkdir(exist_ok=True)
     poses.write_text("".join(f"1 0 0 {k} 0 1 0 0 0 0 1 0\n" for k in range(max(frames) + 1)))
+
+
+def triplets_of(root, folder):
+    """The triplets of `DRIVE`, prepared in a folder."""
+    path = Path(folder) / "triplets.csv"
+    write_targets(path, root, drive_triplets(root, [DRIVE]))
+    return load_triplets(path, root)

@@ -48,6 +48,11 @@ def output_of(disparities, features):
     return DepthOutput([torch.logit((d - 0.01) / 10, eps=1e-7) for d in disparities], features)
 
 
+def averaged(images):
+    """Means over 3×3 pixels of (…, H, W)."""
+    return images.double().unflatten(-1, (-1, 3)).unflatten(-3, (-1, 3)).mean((-1, -3)).float()
+
+
 def as_trained(net):
     """In eval mode, with heads and batch norm statistics of a trained network, so that a zero at the border would show."""
     torch.manual_seed(0)

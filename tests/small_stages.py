@@ -2,12 +2,10 @@
 
 import json
 import shutil
-from types import SimpleNamespace
 
 import pytest
 import torch
 from safetensors.torch import load_file
-from small_encoder import save_encoder
 from small_kitti import DRIVE, write_calibration, write_drive
 from small_nets import with_heads
 
@@ -49,20 +47,14 @@ def dual_of(encoder):
 
 
 @pytest.fixture(scope="session")
-def backbones(tmp_path_factory):
-    """Folders of two small ResNets."""
-    return SimpleNamespace(usual=save_encoder(tmp_path_factory.mktemp("usual")), other=save_encoder(tmp_path_factory.mktemp("other"), 80))
-
-
-@pytest.fixture(scope="session")
-def run_in(backbones):
+def run_in(encoder):
     """A run in a folder that looks like a checkout, with changes of its profile."""
 
-    def make(root, encoder=backbones.usual, hr_size=(192, 192), lr=None, train=None):
+    def make(root, lr=None, train=None):
         stages = {"lr": lr or {"batch_size": 1, "max_steps": 2}, "hr": {"batch_size": 1, "epochs": 1}}
         train = train or {"lr": None, "dual": None, "dual_no_sa": None, "hr_only": ONE_STEP, "one_network": ONE_STEP}
         one = {"one_network": {"label": "one", "about": "one network", "network": "single"}}
-        return checkout_of(root, encoder, stages, hr_size, train=train, variants=one)
+        return checkout_of(root, encoder, stages, train=train, variants=one)
 
     return make
 

@@ -7,9 +7,8 @@ import pytest
 import torch
 from accelerate.state import AcceleratorState
 from safetensors.torch import load_file
-from small_kitti import DRIVE
+from small_kitti import triplets_of
 
-from dualdepth.data.triplets import drive_triplets, load_triplets, write_targets
 from dualdepth.networks.depth_nets import LRNet
 from dualdepth.networks.pose_net import PoseNet
 from dualdepth.profile import load_profile
@@ -46,9 +45,7 @@ def profile_of(encoder, tmp_path):
 @pytest.fixture
 def triplets(kitti_root, tmp_path):
     """Three triplets of five frames."""
-    path = tmp_path / "triplets.csv"
-    write_targets(path, kitti_root, drive_triplets(kitti_root, [DRIVE]))
-    return load_triplets(path, kitti_root)
+    return triplets_of(kitti_root, tmp_path)
 
 
 @pytest.fixture

@@ -1,6 +1,5 @@
 """`dualdepth evaluate` from outside: numbers, JSON, what cannot be measured, and one line for every mistake."""
 
-import io
 import json
 import subprocess
 import sys
@@ -106,35 +105,25 @@ def test_the_fields_pickled_ground_truth_needs_a_word(files, values_of, refused)
     assert values_of(depth, "--gt", "gt_depths.npz", "--allow-pickle")[0] == summary(evaluate(*files))
 
 
-def bad_predictions():
-    good = np.ones((3, 10, 16), np.float32)
-    buffer, archive = io.BytesIO(), io.BytesIO()
-    np.save(buffer, good)
-    np.savez(archive, good)
-    return {
-        "absent": (None, "no such file"),
-        "text": (b"not an array", ""),
-        "truncated": (buffer.getvalue()[:-100], ""),
-        "objects": (np.array([{}, {}, {}], object), ""),
-        "archive": (archive.getvalue(), "archive"),
-        "four_dimensions": (good[:, None], "(3, 1, 10, 16)"),
-        "integers": (good.astype(np.uint16), "uint16"),
-        "no_pixels": (good[:, :0], "(3, 0, 16)"),
-        "short": (good[:2], "2 predictions but G.npz holds 3"),
-    }
+GOOD = np.ones((3, 10, 16), np.float32)
+BAD = {
+    "objects": (np.array([{}, {}, {}], object), ""),
+    "archive": (GOOD, "archive"),
+    "four_dimensions": (GOOD[:, None], "(3, 1, 10, 16)"),
+    "integers": (GOOD.astype(np.uint16), "uint16"),
+    "no_pixels": (GOOD[:, :0], "(3, 0, 16)"),
+    "short": (GOOD[:2], "holds 2 predictions but there are 3"),
+}
 
 
-@pytest.mark.parametrize("case", list(bad_predictions()))
+@pytest.mark.parametrize("case", BAD)
 def test_bad_predictions_are_one_line_with_the_file(refused, case):
-    content, says = bad_predictions()[case]
-    path = Path(f"{case}.npy")
-    if isinstance(content, bytes):
-        path.write_bytes(content)
-    elif content is not None:
-        np.save(path, content)
-    message = refused(depth, "--pred", str(path), "--json", "out.json")
-    assert f"{path.name}: " in message and says in message
-    assert not Path("out.json").exists()
+    content, says = BAD[case]
+    with open(f"{case}.npy", "wb") as file:
+        (np.savez if case == "archive" else np.save)(file, content)
+    message = refused(depth, "--pred", f"{case}.npy", "--json", "out.json")
+    assert f"{case}.npy: " in message and says in message and not Path("out.json").exists()
+    assert "absent.npy: no such file" in refused(depth, "--pred", "absent.npy")
 
 
 @pytest.mark.parametrize("length", [3, 5])

@@ -147,15 +147,6 @@ def test_a_run_that_is_stopped_goes_on_where_it_was(photos, run, out, stop_at, c
     assert not list(out.glob(".*.part*")) and len(visible(out)) == 13
 
 
-def test_results_beside_their_inputs_do_not_become_inputs(photos, run, capsys):
-    """By default a picture and a PNG each."""
-    before = len(visible(photos))
-    for expected in ("6 predicted\n", "0 predicted, 6 were there\n"):
-        assert run(photos, "--out", photos) == 0
-        assert capsys.readouterr().out.endswith(expected)
-    assert {"a.colour.png", "a.depth.png", "predictions.json"} < set(visible(photos)) and len(visible(photos)) == before + 13
-
-
 @pytest.mark.parametrize(
     ("words", "scale", "unit"), [(["--scale", 2.5], 2.5, "relative depth x2.5"), (["--batch-size", 4], 1, "relative depth")]
 )
@@ -218,9 +209,15 @@ def test_a_video_that_ends_early_gives_what_it_has_and_says_so(clip, run, out, c
         (["gone.png"], "gone.png: "),
         (["{photos}", "--weights", "gone.safetensors"], "gone.safetensors: "),
         (["{photos}", "--save", "colour,gif"], "'gif'"),
-        (["{photos}", "--scale", "0"], "--scale 0.0"),
-        (["{photos}", "--batch-size", "0"], "--batch-size 0"),
-        (["{photos}", "--fov", "200"], "--fov 200.0"),
+        *(
+            (["{photos}", option, value], f"{option}: {value} must be")
+            for option in ("--scale", "--focal")
+            for value in ("0", "nan", "inf")
+        ),
+        *((["{photos}", "--fov", value], f"--fov: {value} must be") for value in ("0", "180")),
+        (["{photos}", "--batch-size", "0"], "--batch-size: 0 must be"),
+        (["{photos}", "--intrinsics", "1", "0", "5", "5"], "--intrinsics [1.0, 0.0, 5.0, 5.0]: the focal lengths"),
+        (["{photos}", "--intrinsics", "1", "1", "inf", "5"], "--intrinsics: inf must be"),
         (["{photos}", "--device", "tpu"], "'tpu'"),
         (["{photos}", "--out", "{photos}/a.png"], "a.png: "),
     ],

@@ -3,17 +3,13 @@
 import numpy as np
 import pytest
 import torch
-from slow_losses import slow_minimum, slow_photometric, slow_smoothness, slow_ssim, slow_total
+from slow_losses import slow_minimum, slow_photometric, slow_smoothness, slow_total
 
 from dualdepth import geometry
-from dualdepth.losses import feature_error, mean_over_seen, minimum_over_sources, photometric_error, smoothness, ssim, total_loss
+from dualdepth.losses import feature_error, mean_over_seen, minimum_over_sources, photometric_error, smoothness, total_loss
 from dualdepth.settings import Loss
 
 ALPHA = 0.85
-
-
-def mean_of_minimum(errors, valid):
-    return mean_over_seen(*minimum_over_sources(errors, valid))
 
 
 def settings(*weights, **others):
@@ -58,11 +54,6 @@ def leaves(given):
 # The pieces
 
 
-def test_ssim_equals_a_slow_reference_up_to_the_border():
-    a, b = noise(1, 1, 7, 9, seed=1, dtype=torch.float64), noise(1, 1, 7, 9, seed=2, dtype=torch.float64)
-    assert np.allclose(ssim(a, b)[0, 0].numpy(), slow_ssim(a[0, 0].numpy(), b[0, 0].numpy()), atol=1e-12)
-
-
 def test_photometric_error_equals_a_slow_reference():
     a, b = noise(2, 3, 6, 8, seed=1, dtype=torch.float64), noise(2, 3, 6, 8, seed=2, dtype=torch.float64)
     found = photometric_error(a, b, ALPHA)
@@ -84,23 +75,8 @@ def test_smoothness_equals_the_slow_definition_on_mean_normalised_disparity():
 def test_the_minimum_over_sources_equals_a_slow_reference():
     errors, valid = noise(1, 3, 5, 6, seed=1, dtype=torch.float64), noise(1, 3, 5, 6, seed=2) > 0.6
     assert not valid.any(dim=1).all()
-    assert mean_of_minimum(errors, valid).item() == pytest.approx(slow_minimum(errors[0].numpy(), valid[0].numpy()), abs=1e-12)
-
-
-@pytest.mark.parametrize(
-    "piece",
-    [
-        lambda a, b: ssim(a, b),
-        lambda a, b: photometric_error(a, b, ALPHA),
-        lambda a, b: feature_error(a, b),
-        lambda a, b: smoothness(0.2 + a[:, :1], b),
-        lambda a, b: mean_of_minimum(torch.cat([a, b], 1), torch.cat([a > 0.3, b > 0.3], 1).detach()),
-    ],
-    ids=["ssim", "photometric", "feature", "smoothness", "minimum"],
-)
-def test_gradients_of_the_pieces_equal_finite_differences(piece):
-    a, b = noise(1, 3, 4, 5, seed=5, dtype=torch.float64), noise(1, 3, 4, 5, seed=6, dtype=torch.float64)
-    assert torch.autograd.gradcheck(piece, (a.requires_grad_(), b.requires_grad_()))
+    found = mean_over_seen(*minimum_over_sources(errors, valid)).item()
+    assert found == pytest.approx(slow_minimum(errors[0].numpy(), valid[0].numpy()), abs=1e-12)
 
 
 # The whole
@@ -151,13 +127,6 @@ def test_items_of_a_batch_do_not_mix():
     # a pixel counts the same wherever it is, so the batch is the mean weighted by the pixels that are seen
     assert torch.allclose(together.error, torch.cat([a.error for a in apart]), atol=1e-5)
     assert together.smoothness.item() == pytest.approx(sum(a.smoothness.item() for a in apart) / 2, rel=1e-5)
-
-
-def test_without_features_there_is_no_feature_loss():
-    given = batch()
-    found = total_loss(**given | {"features": None})
-    assert found.feature == 0
-    assert found.photometric.item() == total_loss(**given).photometric.item()
 
 
 def test_the_log_shows_what_the_loss_saw():

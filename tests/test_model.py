@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 from small_kitti import wall
-from small_nets import output_of, with_heads
+from small_nets import averaged, output_of, with_heads
 from torch import nn
 
 import dualdepth
@@ -80,11 +80,6 @@ class Seen(nn.Module):
         found = nn.functional.conv2d(image, torch.full((1, 3, 1, 1), 1 / 3))
         self.image, self.scales, self.dtype = image, scales, found.dtype
         return output_of([found], image)
-
-
-def averaged(image):
-    """3×3 means of (1, 3, H, W)."""
-    return image.reshape(1, 3, SIZE[0] // 3, 3, SIZE[1] // 3, 3).mean((3, 5))
 
 
 @pytest.mark.parametrize("network", NETWORKS)

@@ -37,12 +37,9 @@ def save_ground_truth(path: str | Path, maps: Iterable[np.ndarray], names: Itera
     path, count = Path(path), 0
     keys = iter(names) if names is not None else map("{:06d}".format, itertools.count())
     try:
-        with atomic_path(path) as partial, zipfile.ZipFile(partial, "w") as archive:
+        with atomic_path(path) as partial, zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED) as archive:
             for depth in maps:
-                # a fixed date keeps the bytes the same
-                member = zipfile.ZipInfo(f"{next(keys)}.npy", (1980, 1, 1, 0, 0, 0))
-                member.compress_type = zipfile.ZIP_DEFLATED
-                with archive.open(member, "w", force_zip64=True) as file:
+                with archive.open(f"{next(keys)}.npy", "w", force_zip64=True) as file:  # of 1980, whatever the time
                     np.lib.format.write_array(file, np.ascontiguousarray(depth, np.float32), allow_pickle=False)
                 count += 1
     except OSError as error:

@@ -90,14 +90,19 @@ def numbered_lines(path: Path) -> list[tuple[int, str]]:
     return [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
 
 
-def check_root(root: str | Path) -> Path:
-    """The KITTI raw folder, checked to hold recording days with calibration.
+def check_root(
+    root: str | Path,
+    option: str = "KITTI_ROOT",
+    pattern: str = "20??_??_??/calib_cam_to_cam.txt",
+    mend: str = "give the folder that holds 2011_09_26, 2011_09_28, …",
+) -> Path:
+    """A folder of data that a user gives as `option`: the KITTI raw folder, or another one with its pattern and mend.
 
     Raises:
-        InputError: it is missing or holds no `20XX_XX_XX/calib_cam_to_cam.txt`.
+        InputError: it is missing or holds nothing of the pattern.
     """
-    if not any(Path(root).glob("20??_??_??/calib_cam_to_cam.txt")):
-        raise InputError(f"KITTI_ROOT {root}: holds no 2011_*/calib_cam_to_cam.txt; give the folder that holds 2011_09_26, 2011_09_28, …")
+    if not any(Path(root).glob(pattern)):
+        raise InputError(f"{option} {root}: holds no {pattern}; {mend}")
     return Path(root)
 
 

@@ -1,5 +1,6 @@
 """Label maps of scored frames: 8-bit PNG files of Cityscapes training ids, one an image (cityscapesScripts `labels.py`)."""
 
+import functools
 import io
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from dualdepth.data.kitti import Frame, whole_image
+from dualdepth.data.kitti import Frame, check_root, whole_image
 from dualdepth.errors import InputError, reading
 
 CITYSCAPES = (
@@ -17,22 +18,14 @@ CITYSCAPES = (
 """Names of the training ids 0 … 18."""
 IGNORE = 255
 """What has none of these classes."""
+check_labels_root = functools.partial(
+    check_root, option="LABELS_ROOT", pattern="*/*.png", mend="make <drive>/<frame>.png with python data_scripts/export_labels.py"
+)
 
 
 def label_path(labels_root: str | Path, frame: Frame) -> Path:
     """Where the label map of a frame is: `<root>/<date_drive_XXXX_sync>/<index>.png`."""
     return Path(labels_root) / frame.drive.split("/")[-1] / f"{frame.index:010d}.png"
-
-
-def check_labels_root(root: str | Path) -> Path:
-    """The folder of label maps, checked to hold some.
-
-    Raises:
-        InputError: it is missing or empty.
-    """
-    if not any(Path(root).glob("*/*.png")):
-        raise InputError(f"LABELS_ROOT {root}: holds no <drive>/<frame>.png; make the maps with python data_scripts/export_labels.py")
-    return Path(root)
 
 
 def read_label_map(path: str | Path) -> np.ndarray:

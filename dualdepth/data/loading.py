@@ -133,9 +133,6 @@ class StatelessBatches(Sampler[list[tuple[int, int]]]):
         self.start, self.stop, self.accumulate = start, stop, accumulate
         self.rank, self.processes = rank, processes
 
-    def __len__(self) -> int:
-        return max(self.stop - self.start, 0) * self.accumulate
-
     def __iter__(self) -> Iterator[list[tuple[int, int]]]:
         per_epoch = self.samples // self.batch_size
         share = self.batch_size // (self.accumulate * self.processes)

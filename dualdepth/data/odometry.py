@@ -4,17 +4,19 @@ Layout, as KITTI unpacks: `ROOT/sequences/00/image_2/000000.png` (or .jpg), `ROO
 """
 
 import csv
+import functools
 import os
 from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 
-from dualdepth.data.kitti import SUFFIXES, calibration_entry, read_calibration
+from dualdepth.data.kitti import SUFFIXES, calibration_entry, check_root, read_calibration
 from dualdepth.data.triplets import Triplet
 from dualdepth.errors import InputError, reading
-from dualdepth.files import atomic_path, write_text
+from dualdepth.files import write_text
 
 RAW_DRIVES = {
     "00": "2011_10_03/2011_10_03_drive_0027_sync",
@@ -32,18 +34,9 @@ RAW_DRIVES = {
 """The raw drive that each sequence was cut from (KITTI's odometry development kit)."""
 CAMERA = "image_2"
 """The left colour camera, as in the paper."""
-
-
-def check_odometry_root(root: str | Path) -> Path:
-    """The odometry folder, checked to hold sequences.
-
-    Raises:
-        InputError: it is missing or holds no `sequences/NN`.
-    """
-    root = Path(root)
-    if not any(root.glob("sequences/[0-9][0-9]")):
-        raise InputError(f"ODOMETRY_ROOT {root}: holds no sequences/00, …; give the folder that holds `sequences` and `poses`")
-    return root
+check_odometry_root = functools.partial(
+    check_root, option="ODOMETRY_ROOT", pattern="sequences/[0-9][0-9]", mend="give the folder that holds `sequences` and `poses`"
+)
 
 
 def sequence_of(entry: str) -> tuple[str, str]:
@@ -128,8 +121,7 @@ def write_odometry_index(path: str | Path, root: str | Path, sequences: Sequence
         if not targets:
             raise InputError(f"{next(iter(files.values())).parent}: no three consecutive frames to train on")
         rows += [[name, camera, i, files[i - 1].name, files[i].name, files[i + 1].name, *lens] for i in targets]
-    with atomic_path(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file, lineterminator="\n").writerows([COLUMNS, *rows])
+    write_text(path, pd.DataFrame(rows, columns=COLUMNS).to_csv(index=False))
     return len(rows)
 
 

@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from dualdepth.data.kitti import SUFFIXES, Frame, image_path, intrinsics
 from dualdepth.errors import InputError, reading
-from dualdepth.files import atomic_path
+from dualdepth.files import write_text
 
 
 class Triplet(NamedTuple):
@@ -73,14 +74,9 @@ def _numbers(folder: Path) -> set[int]:
 
 def missing_neighbours(root: str | Path, targets: Iterable[Frame]) -> list[Frame]:
     """Frames of the targets' triplets that have no image file; each folder is listed once."""
-    have: dict[Path, set[int]] = {}
-    missing: set[Frame] = set()
-    for target in targets:
-        folder = Path(root) / target.drive / target.camera / "data"
-        if folder not in have:
-            have[folder] = _numbers(folder)
-        missing |= {target._replace(index=target.index + k) for k in (-1, 0, 1) if target.index + k not in have[folder]}
-    return sorted(missing)
+    have = functools.cache(lambda drive, camera: _numbers(Path(root) / drive / camera / "data"))
+    frames = {target._replace(index=target.index + offset) for target in targets for offset in (-1, 0, 1)}
+    return sorted(frame for frame in frames if frame.index not in have(frame.drive, frame.camera))
 
 
 def missing_files_error(what: str, root: str | Path, missing: Iterable[tuple[Frame, str]]) -> InputError:
@@ -103,10 +99,8 @@ def missing_files_error(what: str, root: str | Path, missing: Iterable[tuple[Fra
 
 def write_targets(path: str | Path, root: str | Path, targets: Iterable[Frame]) -> None:
     """Write targets as CSV `drive,camera,index,suffix`, atomically."""
-    with atomic_path(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["drive", "camera", "index", "suffix"])
-        writer.writerows([frame.drive, frame.camera, frame.index, suffix] for frame, suffix in with_suffix(root, targets))
+    rows = [(frame.drive, frame.camera, frame.index, suffix) for frame, suffix in with_suffix(root, targets)]
+    write_text(path, pd.DataFrame(rows, columns=["drive", "camera", "index", "suffix"]).to_csv(index=False))
 
 
 def with_suffix(root: str | Path, targets: Iterable[Frame]) -> list[tuple[Frame, str]]:

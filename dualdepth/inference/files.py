@@ -46,7 +46,7 @@ def predict_files(
     model: DepthModel,
     style: Style,
     *,
-    kinds: Sequence[str] | None = None,
+    kinds: Sequence[str] = (),
     batch_size: int | None = None,
     overwrite: bool = False,
 ) -> bool:
@@ -56,7 +56,7 @@ def predict_files(
         paths: of the inputs, from `find_inputs`.
         out: folder of the results; `STAMP` in it says what is what.
         model, style: that predicts, and what results say.
-        kinds: keys of `SUFFIXES`; None takes colour and depth of an image, side of a video.
+        kinds: keys of `SUFFIXES`; none takes colour and depth of an image, side of a video.
         batch_size: images computed together; None chooses.
         overwrite: make again what is there.
 
@@ -134,7 +134,7 @@ class Task(NamedTuple):
         return f"{self.name}{SIDE_VIDEO}" if kind == "side" else f"{self.name}.frames/{frame:06d}{SUFFIXES[kind]}"
 
 
-def plan(paths: Sequence[Path], out: Path, options: dict[str, str], kinds: Sequence[str] | None, overwrite: bool) -> list[Task]:
+def plan(paths: Sequence[Path], out: Path, options: dict[str, str], kinds: Sequence[str], overwrite: bool) -> list[Task]:
     """A task for each input, in their order; results that are there are not made again, unless other `options` shaped them.
 
     `STAMP` is written into `out`; the other arguments are those of `predict_files`.

@@ -44,21 +44,6 @@ class Style(NamedTuple):
     field_of_view: float | None = None
     """Degrees, horizontal; None: KITTI's."""
 
-    def check(self) -> "Style":
-        """This style.
-
-        Raises:
-            InputError: a number is not finite, scale or focal length not positive, or the field of view not between 0 and 180 degrees.
-        """
-        if not (math.isfinite(self.scale) and self.scale > 0):
-            raise InputError(f"--scale {self.scale}: must be a positive number")
-        if self.field_of_view is not None and not 0 < self.field_of_view < 180:
-            raise InputError(f"--fov {self.field_of_view}: must be between 0 and 180 degrees")
-        camera = self.camera((1, 1))
-        if not (all(map(math.isfinite, camera[:4])) and min(camera[:2]) > 0):
-            raise InputError(f"{camera.origin}: focal lengths must be positive and all numbers finite")
-        return self
-
     def camera(self, size: tuple[int, int]) -> Camera:
         """The camera of an image of `size` (height, width)."""
         if self.intrinsics:
@@ -76,15 +61,13 @@ class Style(NamedTuple):
         return "relative depth" if self.scale == 1 else f"relative depth x{self.scale:g}"
 
 
-def parse_kinds(words: str | None) -> tuple[str, ...] | None:
-    """Kinds of results, each once, of words with commas between, or `all`; None stays None.
+def parse_kinds(words: str | None) -> tuple[str, ...]:
+    """Kinds of results, each once, of words with commas between, or `all`; none of None.
 
     Raises:
         InputError: a kind is unknown.
     """
-    if words is None:
-        return None
-    kinds = tuple(dict.fromkeys(SUFFIXES if words == "all" else words.split(",")))
+    kinds = tuple(dict.fromkeys(SUFFIXES if words == "all" else words.split(",") if words else ()))
     if unknown := [kind for kind in kinds if kind not in SUFFIXES]:
         raise InputError(f"--save {unknown[0]!r} is unknown: choose some of {', '.join(SUFFIXES)}, with commas, or all")
     return kinds

@@ -1,14 +1,18 @@
 """Which depth network it is, in words that fit into a weights' card, and how it is built from them; torch is loaded only to build one."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
-from dualdepth.errors import first_mistake
 from dualdepth.networks import Link, Network, Normalise, Similarity
 
 if TYPE_CHECKING:
     from torch import nn
+
+
+_Side = Annotated[int, Field(strict=True, multiple_of=96, ge=192, le=10_000)]
+HRSize = tuple[_Side, _Side]
+"""(height, width) of HR-Net's images in pixels; 1/96 of a side, LR-Net's deepest map, must have room to be reflected."""
 
 
 class Design(BaseModel):
@@ -34,20 +38,6 @@ class Architecture(Design):
     """See `make_encoder`; of no meaning for `hr`."""
     residual: bool = False
     """Beyond the paper: a dual network's HR-Net adds to LR-Net's logits; of no meaning for others."""
-
-    @classmethod
-    def of_card(cls, card: dict[str, Any]) -> "Architecture":
-        """The network that a card names; words that are missing, but for `network`, have their defaults.
-
-        Raises:
-            ValueError: it names none; the message is one line.
-        """
-        if "network" not in card:
-            raise ValueError("network is missing")
-        try:
-            return cls(**{name: card[name] for name in cls.model_fields if name in card})
-        except ValidationError as error:
-            raise ValueError(first_mistake(error)) from None
 
     @property
     def sees_low_resolution(self) -> bool:

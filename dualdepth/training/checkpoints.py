@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from dualdepth.errors import InputError
+from dualdepth.errors import InputError, reading
 from dualdepth.files import atomic_path
 
 KEYS = {"recipe", "parts", "precision", "step", "model", "optimizer"}
@@ -54,15 +54,11 @@ def load_checkpoint(path: str | Path) -> dict[str, Any]:
     Raises:
         InputError: the file is missing, truncated, changed, foreign, or holds anything but tensors and plain values (its code is not run).
     """
-    path = Path(path)
-    try:
-        state = _read(path)
-        if set(state) >= KEYS - {"precision"}:  # one without is of before it was kept, and so of another recipe
-            return state
-        reason = "keys are missing"
-    except Exception as error:  # torch, pickle and zip have a kind for each damage
-        reason = (str(error) or type(error).__name__).splitlines()[0]
-    raise InputError(f"{path}: not a checkpoint of this project ({reason}); delete it to train from the start")
+    with reading(path, "not a checkpoint of this project; delete it to train from the start"):
+        state = _read(Path(path))
+        if not set(state) >= KEYS - {"precision"}:  # one without is of before it was kept, and so of another recipe
+            raise ValueError("keys are missing")
+    return state
 
 
 def last_checkpoint(folder: str | Path, say: Callable[[str], object] = print) -> dict[str, Any] | None:

@@ -311,11 +311,8 @@ def stop_request(accelerator: Accelerator) -> Iterator[Callable[[], bool]]:
             accelerator.set_trigger()
         return accelerator.check_trigger()
 
-    before = None
-    with contextlib.suppress(ValueError):  # only a main thread can be told
-        before = signal.signal(signal.SIGTERM, lambda number, _: noted.append(number))
+    before = signal.signal(signal.SIGTERM, lambda number, _: noted.append(number))
     try:
         yield stop_requested
     finally:
-        if before is not None:
-            signal.signal(signal.SIGTERM, before)
+        signal.signal(signal.SIGTERM, before)

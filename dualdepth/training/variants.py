@@ -13,7 +13,6 @@ from dualdepth.files import check_writable, locked, write_text
 from dualdepth.networks.pose_net import PoseNet
 from dualdepth.profile import Profile
 from dualdepth.run import Run, Sources
-from dualdepth.settings import Variant
 from dualdepth.training.loop import Trainer
 from dualdepth.training.stages import Stage
 from dualdepth.training.weights import finished_card, load_card, load_weights
@@ -34,9 +33,7 @@ def train_variant(run: Run, name: str, seed: int) -> Path:
     keep_freed_memory()
     variant, profile = run.profile.variant(name), run.profile.of_variant(name)
     triplets, drives = training_data(run, name)
-    start = start_weights(run, variant, seed)
-    if start:
-        check_start(start, profile, variant)
+    start = start_weights(run, name, seed)
     folder, weights, recipe = run.training(name, seed), run.weights(name, seed), run.recipe(name, seed)
     with contextlib.ExitStack() as held:
         if is_main_process():
@@ -68,11 +65,23 @@ def training_data(run: Run, name: str) -> tuple[list[Triplet], list[str]]:
     return triplets, drives_of(sequences, world=run.profile.world is not None)
 
 
-def start_weights(run: Run, variant: Variant, seed: int) -> Path | None:
-    """Weights of stage 1 that a variant starts from, None where it starts from nothing; InputError where they are not there."""
-    if variant.starts_from is None:
+def start_weights(run: Run, name: str, seed: int) -> Path | None:
+    """Weights of stage 1 that a variant starts from, None where it starts from nothing.
+
+    Raises:
+        InputError: they are not there, their card is incomplete, or they are of another network, backbone or size.
+    """
+    first, profile = run.profile.variant(name).starts_from, run.profile.of_variant(name)
+    if first is None:
         return None
-    return run.require(run.weights(variant.starts_from, seed), f"03_train_lr, variant {variant.starts_from}, seed {seed},")
+    start = run.require(run.weights(first, seed), f"03_train_lr, variant {first}, seed {seed},")
+    card = load_card(start)
+    needed = {"network": "lr", "encoder": profile.training.encoder, "hr_size": list(profile.data.hr_size)}
+    wrong = [f"{key} {card.get(key)!r} instead of {value!r}" for key, value in needed.items() if card.get(key) != value]
+    wrong += [f"no {key}" for key in ("variant", "seed", "steps", "sha256", "drives", "pretrained") if key not in card]
+    if wrong:
+        raise InputError(f"{start}: its card has {', '.join(wrong)}; train {first} again with this profile")
+    return start
 
 
 def make_stage(profile: Profile, name: str, start: Path | None = None) -> Stage:
@@ -90,20 +99,6 @@ def make_stage(profile: Profile, name: str, start: Path | None = None) -> Stage:
         if variant.network == "dual":
             load_weights(start, stage.depth_net.lr_net, prefix="depth_net.")
     return stage
-
-
-def check_start(start: Path, profile: Profile, variant: Variant) -> None:
-    """Make sure that weights of stage 1 are what a variant can start from.
-
-    Raises:
-        InputError: their card is incomplete, or they are of another network, backbone or size.
-    """
-    card = load_card(start)
-    needed = {"network": "lr", "encoder": profile.training.encoder, "hr_size": list(profile.data.hr_size)}
-    wrong = [f"{name} {card.get(name)!r} instead of {value!r}" for name, value in needed.items() if card.get(name) != value]
-    wrong += [f"no {name}" for name in ("variant", "seed", "steps", "sha256", "drives", "pretrained") if name not in card]
-    if wrong:
-        raise InputError(f"{start}: its card has {', '.join(wrong)}; train {variant.starts_from} again with this profile")
 
 
 def _mark(weights: Path) -> Path:

@@ -1,6 +1,5 @@
 """Released weights: safetensors, and beside them a JSON card that says what they are and what they learned from."""
 
-import hashlib
 import json
 from pathlib import Path
 from typing import Any
@@ -9,8 +8,8 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import nn
 
-from dualdepth.errors import InputError
-from dualdepth.files import atomic_path, write_json
+from dualdepth.errors import InputError, reading
+from dualdepth.files import atomic_path, file_digest, write_json
 
 HUB_CARD = "config.json"
 
@@ -29,7 +28,7 @@ def save_weights(path: str | Path, model: nn.Module, card: dict[str, Any], card_
         with atomic_path(path) as partial:
             save_file(tensors, partial)
             beside = path.with_name(card_name or f"{path.stem}.json")
-            write_json(beside, card | {"sha256": hashlib.sha256(partial.read_bytes()).hexdigest()})
+            write_json(beside, card | {"sha256": file_digest(partial)})
             partial.chmod(beside.stat().st_mode)  # safetensors keeps its files from all others
     except (OSError, SafetensorError) as error:
         raise InputError(f"{path}: could not be written ({error}); free space, then the same command goes on from the checkpoint") from None
@@ -44,16 +43,14 @@ def load_card(path: str | Path) -> dict[str, Any]:
     card = Path(path).with_suffix(".json")
     if not card.exists() and card.with_name(HUB_CARD).exists():
         card = card.with_name(HUB_CARD)
-    try:
+    with reading(card, "keep the weights' card beside them"):
         values = json.loads(card.read_text(encoding="utf-8"))
         if not isinstance(values, dict):
             raise ValueError(f"expected a mapping, found {type(values).__name__}")
         drives = values.get("drives", [])
         if not (isinstance(drives, list) and all(isinstance(drive, str) for drive in drives)):
             raise ValueError("its drives are no list of names")
-        return values
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{card}: the weights' card cannot be read ({error}); keep it beside the weights") from None
+    return values
 
 
 def finished_card(path: str | Path) -> dict[str, Any] | None:
@@ -62,11 +59,9 @@ def finished_card(path: str | Path) -> dict[str, Any] | None:
     Raises:
         InputError: there are weights without a readable card.
     """
-    path = Path(path)
-    if not path.exists():
-        return None
-    card = load_card(path)
-    return card if hashlib.sha256(path.read_bytes()).hexdigest() == card.get("sha256") else None
+    digest = file_digest(Path(path))
+    card = load_card(path) if digest else {}
+    return card if digest and digest == card.get("sha256") else None
 
 
 def load_weights(path: str | Path, model: nn.Module, prefix: str = "") -> dict[str, Any]:
@@ -80,21 +75,14 @@ def load_weights(path: str | Path, model: nn.Module, prefix: str = "") -> dict[s
     Raises:
         InputError: the file is missing, truncated, changed since its card was written, or of another network.
     """
-    path = Path(path)
     card = load_card(path)
-    try:
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()
-        tensors = load_file(path)
-    except (OSError, SafetensorError) as error:
-        raise InputError(f"{path}: cannot be read as safetensors ({error}); train again or copy it again") from None
-    if digest != card.get("sha256"):
-        raise InputError(
-            f"{path}: sha256 {digest[:12]}… is not the card's {str(card.get('sha256'))[:12]}…; the file was changed, copy it again"
-        )
+    with reading(path, "train again or copy it again"):
+        digest, tensors = file_digest(Path(path)), load_file(path)
+    if digest != (told := card.get("sha256")):
+        raise InputError(f"{path}: sha256 {digest[:12]}… is not the card's {str(told)[:12]}…; the file was changed, copy it again")
     try:
         model.load_state_dict({name.removeprefix(prefix): t for name, t in tensors.items() if name.startswith(prefix)})
     except RuntimeError as error:
-        raise InputError(
-            f"{path}: weights of another network ({str(error).splitlines()[1].strip()[:120]}); check the profile's encoder"
-        ) from None
+        reason = str(error).splitlines()[1].strip()[:120]
+        raise InputError(f"{path}: weights of another network ({reason}); check the profile's encoder") from None
     return card

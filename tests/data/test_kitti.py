@@ -39,10 +39,8 @@ def test_a_list_in_the_fields_format_gives_frames_in_its_order(listed):
     [
         "2011_09_26_drive_0001_sync 0000000007 l",
         f"{DRIVE} 0000000007 x",
-        f"{DRIVE} seven l",
         f"{DRIVE}",
         "2011_09_28/2011_09_26_drive_0001_sync 0000000007 l",
-        f"../{DRIVE} 0000000007 l",
         f"{DRIVE} 0000000007 l extra",
     ],
 )
@@ -109,7 +107,7 @@ def test_a_calibration_entry_keeps_its_numbers_and_rows_of_a_file_without_names_
 
 def test_a_root_must_hold_date_folders(tmp_path):
     for root in (tmp_path / "nowhere", tmp_path):
-        with pytest.raises(InputError, match=rf"KITTI_ROOT {root}: holds no 2011_\*/calib_cam_to_cam\.txt"):
+        with pytest.raises(InputError, match=rf"KITTI_ROOT {root}: holds no 20\S+/calib_cam_to_cam\.txt; give"):
             check_root(root)
     write_calibration(tmp_path)
     assert check_root(str(tmp_path)) == tmp_path

@@ -6,23 +6,16 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from small_kitti import DRIVE, write_drive
+from small_kitti import DRIVE, triplets_of, write_drive
 
 from dualdepth.data.frames import resample
 from dualdepth.data.loading import StatelessBatches, TripletDataset, augment, draw_crop, make_loader
-from dualdepth.data.triplets import drive_triplets, load_triplets, write_targets
 from dualdepth.errors import InputError
 from dualdepth.settings import Augmentation
 
 HR = (96, 96)
 RAW = (100, 330)
 K = np.array([[190.0, 0, 171.3], [0, 205.0, 46.8], [0, 0, 1]])
-
-
-def triplets_of(root, tmp_path):
-    path = tmp_path / "triplets.csv"
-    write_targets(path, root, drive_triplets(root, [DRIVE]))
-    return load_triplets(path, root)
 
 
 @pytest.fixture

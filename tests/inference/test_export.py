@@ -12,14 +12,13 @@ import onnx
 import pytest
 import torch
 from small_kitti import wall
-from small_nets import with_heads
-from torch import nn
+from small_nets import as_trained
 
 from dualdepth.cli import main
 from dualdepth.data.kitti import read_image
 from dualdepth.errors import InputError
 from dualdepth.inference import export
-from dualdepth.inference.export import TOLERANCE, export_onnx, made_up_images, run_onnx, unit_image
+from dualdepth.inference.export import TOLERANCE, export_onnx, run_onnx, unit_image
 from dualdepth.model import DepthModel, load
 from dualdepth.networks.architecture import Architecture
 from dualdepth.run import project_root
@@ -32,23 +31,6 @@ def decoder_of(net):
     return net.hr_net.decoder if hasattr(net, "hr_net") else net.decoder
 
 
-@torch.no_grad()
-def spread(model):
-    """New weights give one disparity everywhere; let these have statistics and reach from near to far, as trained ones do."""
-    images = torch.from_numpy(np.stack(made_up_images(SIZE)))
-    for module in model.modules():
-        if isinstance(module, nn.BatchNorm2d):
-            module.momentum = 1.0  # one batch is the whole statistics
-    model.train()(images)
-    seen = []
-    head = decoder_of(model.eval().depth_net).heads[-1]  # the layer before the finest disparity's sigmoid
-    with head.register_forward_hook(lambda _module, _inputs, logits: seen.append(logits)):
-        model(images)
-    gain = 2 / seen[0].std()
-    head.bias.copy_((head.bias - seen[0].mean()) * gain)
-    head.weight.mul_(gain)
-
-
 @pytest.fixture(scope="module")
 def save(encoder, tmp_path_factory):
     """Saves weights in a folder of their own; gives their path."""
@@ -57,8 +39,7 @@ def save(encoder, tmp_path_factory):
         torch.manual_seed(0)
         words = Architecture(network=network, encoder=encoder).model_dump()
         model = DepthModel(words | {"hr_size": list(SIZE), "about": "a test", "drives": ["street/1"]}, device="cpu")
-        with_heads(model)
-        spread(model)
+        as_trained(model)
         folder = tmp_path_factory.mktemp("weights")
         model.save_pretrained(folder)
         return folder / "model.safetensors"
@@ -99,7 +80,7 @@ def check_graph(weights, file, paths):
     """The file gives PyTorch's disparities of images in any batch, and holds the numbers that shape them and no others."""
     model = load(weights, "cpu", "float32")
     expected = model.disparities(paths)  # from the files: resized, and averaged for LR-Net
-    assert expected.max() > 1.5 * expected.min()
+    assert expected.max() > 1.2 * expected.min()
     images = np.stack([unit_image(read_image(path), SIZE) for path in paths])
     together, *alone = run_onnx(file, [images, *(image[None] for image in images)])
     for found in (together, np.concatenate(alone)):
@@ -165,15 +146,11 @@ def test_mistakes_end_in_one_line(weights, tmp_path, monkeypatch, refused, optio
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
-@pytest.mark.usefixtures("written_already")
 @pytest.mark.parametrize("missing", ["onnx", "onnxscript", "onnxruntime"])
-def test_without_the_packages_it_says_how_to_get_them_or_that_nothing_was_compared(weights, tmp_path, monkeypatch, missing):
-    find, out = importlib.util.find_spec, tmp_path / "depth.onnx"
+def test_without_the_packages_it_says_how_to_get_them(weights, tmp_path, monkeypatch, missing):
+    find = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == missing else find(name))
-    if missing == "onnxruntime":
-        assert "not compared" in export_onnx(weights, out) and out.is_file()
-        return
     groups = tomllib.loads((project_root() / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     install = " ".join(line.partition(">=")[0] for line in groups["export"])
     with pytest.raises(InputError, match=f"package {missing} .*`pip install {install}`"):
-        export_onnx(weights, out)
+        export_onnx(weights, tmp_path / "depth.onnx")

@@ -4,7 +4,7 @@ from typing import get_args
 
 import pytest
 import torch
-from small_nets import as_trained, with_heads
+from small_nets import as_trained, averaged, with_heads
 from torch import nn
 from torch.nn import functional as F
 
@@ -21,11 +21,6 @@ LINKS = get_args(Link)
 
 def image(seed=0, items=1, size=SIZE):
     return torch.rand(items, 3, *size, generator=torch.Generator().manual_seed(seed))
-
-
-def averaged(image):
-    """3×3 means, one after the other."""
-    return torch.stack([image[..., row::3, column::3] for row in range(3) for column in range(3)]).double().mean(0).float()
 
 
 def given_to(module):
@@ -62,12 +57,6 @@ def test_parameters_and_macs_of_lr_net_are_those_fitted_to_the_papers_overhead_t
     assert (million(cost.params), million(cost.macs / 1e3)) == (params_m, gmacs)
 
 
-@pytest.mark.slow
-def test_gradients_reach_every_parameter_of_lr_net():
-    net = LRNet("resnet18")
-    assert without_gradient(net, net(image(items=2, size=(64, 64)))) == []
-
-
 def rms_of_levels(net, *given):
     """Root mean square of the neck and of each level of the decoder."""
     found = []
@@ -81,11 +70,15 @@ def rms_of_levels(net, *given):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("encoder", "pretrained"),
-    [("resnet18", False), ("resnet50", False), ("mobilenet_v2", False), ("efficientnet_lite0", False), ("efficientnet_lite0", True)],
+    [*((name, False) for name in ("resnet18", "resnet50", "mobilenet_v2", "efficientnet_lite0", None)), ("efficientnet_lite0", True)],
 )
-def test_signals_keep_their_scale_down_lr_nets_decoder(encoder, pretrained):
+def test_signals_keep_their_scale_down_the_decoder(encoder, pretrained):
     torch.manual_seed(0)
-    neck, *levels = rms_of_levels(LRNet(encoder, pretrained), smooth_image())
+    net, led = (
+        LRNet(encoder, pretrained) if encoder else HRNet(GLOBAL),
+        () if encoder else (4, STARTING_RMS * torch.randn(4, GLOBAL, 4, 12)),
+    )
+    neck, *levels = rms_of_levels(net, smooth_image(), *led)
     assert all(neck / 3 < level < 3 * neck for level in levels)
 
 
@@ -93,12 +86,6 @@ def smooth_image():
     """Blobs of all sizes, as a picture has; (4, 3, 128, 384)."""
     sizes = [F.interpolate(torch.rand(4, 3, 128 // s, 384 // s), (128, 384), mode="bilinear") for s in (2, 4, 8, 16, 32)]
     return torch.stack(sizes).mean(0)
-
-
-def test_signals_keep_their_scale_down_hr_nets_decoder():
-    torch.manual_seed(0)
-    neck, *levels = rms_of_levels(HRNet(GLOBAL), smooth_image(), 4, STARTING_RMS * torch.randn(4, GLOBAL, 4, 12))
-    assert all(neck / 3 < level < 3 * neck for level in levels)
 
 
 # HR-Net
@@ -153,11 +140,13 @@ def test_by_itself_hr_net_has_no_room_for_global_features():
             by_itself(small(), 4, features())
 
 
-@pytest.mark.parametrize("global_channels", [0, GLOBAL])
-def test_gradients_reach_every_parameter_of_hr_net(global_channels):
+@pytest.mark.parametrize(
+    ("make", "led"), [(lambda: LRNet("resnet18"), ()), (HRNet, ()), (lambda: HRNet(GLOBAL), (4, features()))], ids=["LR", "alone", "HR"]
+)
+def test_gradients_reach_every_parameter(make, led):
     torch.manual_seed(0)
-    net = HRNet(global_channels)
-    assert without_gradient(net, net(small(), 4, features() if global_channels else None)) == []
+    net = make()
+    assert without_gradient(net, net(small(), *led)) == []
 
 
 # The dual network

@@ -41,7 +41,7 @@ def test_a_damaged_checkpoint_is_told_and_the_one_before_it_is_used(tmp_path, sh
     assert last_checkpoint(tmp_path, told.append)["step"] == 7
     assert len(told) == 1 and "checkpoint_00000008.pt" in told[0]
     paths[0].write_bytes(b"")
-    with pytest.raises(InputError, match=r"checkpoint_00000007\.pt: not a checkpoint"):
+    with pytest.raises(InputError, match=r"checkpoint_00000007\.pt: .*not a checkpoint"):
         last_checkpoint(tmp_path, told.append)
 
 
@@ -70,7 +70,7 @@ FOREIGN = {
 def test_what_is_no_checkpoint_is_refused_in_one_line_and_its_code_is_not_run(tmp_path, kind):
     path = tmp_path / "checkpoint.pt"
     FOREIGN[kind](path, Trap(tmp_path / "mark"))
-    with pytest.raises(InputError, match=r"checkpoint\.pt: not a checkpoint of this project") as error:
+    with pytest.raises(InputError, match=r"checkpoint\.pt: .*not a checkpoint of this project") as error:
         load_checkpoint(path)
     assert "\n" not in str(error.value)
     assert not (tmp_path / "mark").exists()

@@ -42,7 +42,7 @@ def test_what_is_no_safetensors_file_is_refused(path):
     whole = path.read_bytes()
     for content in (b"", b"x", b"not safetensors" * 10, whole[:-20]):
         path.write_bytes(content)
-        with pytest.raises(InputError, match=r"model\.safetensors: cannot be read as safetensors"):
+        with pytest.raises(InputError, match=r"model\.safetensors: cannot be read"):
             load_weights(path, Net())
     path.unlink()
     with pytest.raises(InputError, match=r"model\.safetensors: "):
@@ -59,7 +59,7 @@ def test_weights_without_a_readable_card_are_refused(path, card):
     file = path.with_suffix(".json")
     file.unlink() if card is None else file.write_text(card)
     for read in (load_card, finished_card, lambda path: load_weights(path, Net())):
-        with pytest.raises(InputError, match=r"model\.json: the weights' card cannot be read"):
+        with pytest.raises(InputError, match=r"model\.json: .*; keep the weights' card beside them"):
             read(path)
 
 
@@ -67,7 +67,7 @@ def test_weights_in_a_pickle_are_refused_and_their_code_is_not_run(tmp_path):
     path = tmp_path / "model.safetensors"
     path.write_bytes(pickle.dumps(Trap(tmp_path / "mark")))
     path.with_suffix(".json").write_text(json.dumps({"sha256": hashlib.sha256(path.read_bytes()).hexdigest()}))
-    with pytest.raises(InputError, match="cannot be read as safetensors"):
+    with pytest.raises(InputError, match="cannot be read"):
         load_weights(path, Net())
     assert not (tmp_path / "mark").exists()
 
