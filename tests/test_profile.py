@@ -60,12 +60,6 @@ def test_an_unknown_profile_names_those_there_are_and_a_file_that_is_not_there_i
         load_profile(str(tmp_path / "gone.yaml"))
 
 
-def test_the_digest_changes_with_its_own_sections_only(written):
-    plain, other = load_profile(written(GOOD)), load_profile(written(GOOD + "training:\n  lr:\n    epochs: 3\n", "other"))
-    assert plain.digest("training.loss", "data.hr_size") == other.digest("training.loss", "data.hr_size")
-    assert plain.digest("training.lr") != other.digest("training.lr")
-
-
 def test_paper_trains_every_standard_variant_and_has_nothing_beyond_the_paper():
     profile = load_profile("paper")
     assert set(profile.train) == set(standard_variants())

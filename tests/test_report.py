@@ -55,7 +55,7 @@ def test_only_claims_of_a_world_that_was_learned_are_judged(make_run, profile, c
     assert made.claims["verdict"].isin(["reproduced", "within noise"]).any() == (profile == "miniature")
     assert made.numbers.query("metric == 'abs_rel'")["verdict"].dropna().eq("not run").all()
     own = profile == "own"
-    assert ("laser" not in made.captions["main_depth"]) == own and ("scale is unknown" in html(made, profile)) == own
+    assert ("laser" not in made.captions["main_depth"]) == own and ("scale is unknown" in html(made)) == own
 
 
 def test_the_papers_profile_judges_numbers(make_run):
@@ -94,7 +94,7 @@ def test_the_page_says_what_snippets_are_worth_beside_trajectories_and_controls(
         [],
     )
     run.save_table(pd.DataFrame([{"method": "Straight ahead", "align": "7dof", "t_err": 12.5}]), "odometry_trajectories", [])
-    page = html(make_report(run), "paper")
+    page = html(make_report(run))
     assert "0.0163 on sequence 09" in page and "better by 9" in page and "7dof" in page and "12.5" in page
 
 
@@ -103,7 +103,7 @@ def test_loss_weights_are_those_of_the_run(make_run):
     run = make_run()
     loss = run.profile.training.loss.model_copy(update={"smoothness": 0.7})
     run.profile = run.profile.model_copy(update={"training": run.profile.training.model_copy(update={"loss": loss})})
-    assert "smoothness 0.7" in html(make_report(run), "tiny")
+    assert "smoothness 0.7" in html(make_report(run))
 
 
 def test_a_missing_table_names_its_notebook(make_run):

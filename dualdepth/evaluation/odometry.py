@@ -176,11 +176,6 @@ def constant_velocity(frames: int, step: np.ndarray) -> np.ndarray:
     return poses
 
 
-def straight_ahead(frames: int) -> np.ndarray:
-    """Control: `constant_velocity` of a metre a frame along the optical axis."""
-    return constant_velocity(frames, np.array([0.0, 0.0, 1.0]))
-
-
 def inverted(truth: np.ndarray) -> np.ndarray:
     """Control: the true poses (…, N, 4, 4) in the axes of the first, each inverted.
 

@@ -150,11 +150,9 @@ def _judge(tables: dict[str, pd.DataFrame], claim: Claim, metric: str) -> tuple[
     row = rows.iloc[0]
     if pd.isna(row["difference"]):
         return {}, Verdict(NOT_RUN, row["reason"])
-    found = {name: float(row[name]) for name in ("mean_a", "mean_b", "difference", "low", "high", "spread")}
-    seeds = int(row["seeds"])
-    values = [found[name] for name in ("difference", "low", "high")]
-    verdict = judge_claim(*values, spread=found["spread"], seeds=seeds, lower_is_better=row["better"] == "lower")
-    return found | {"seeds": seeds, "n": row["n"]}, verdict
+    tested = {name: float(row[name]) for name in ("difference", "low", "high", "spread")} | {"seeds": int(row["seeds"])}
+    verdict = judge_claim(**tested, lower_is_better=row["better"] == "lower")
+    return {"mean_a": float(row["mean_a"]), "mean_b": float(row["mean_b"]), **tested, "n": row["n"]}, verdict
 
 
 class PaperRow(NamedTuple):
@@ -198,11 +196,9 @@ PAIRS = (
 )
 """All rows of the paper that are its own, and ours."""
 HIGHER_IS_BETTER = ("a1", "a2", "a3")
-DIGITS = {"params_m": 0.01, "gmacs": 0.01}
-"""The last digit that the paper prints, where it is not 0.001."""
 CLOSEST = "not judged: of all readings of the paper's equation the one that comes closest to its ratio"
-COUNTS = ("params_m", "gmacs")
-"""Numbers that are neither better nor worse."""
+COUNTS = {"params_m": 0.01, "gmacs": 0.01}
+"""Numbers that are neither better nor worse, and the last digit of them that the paper prints; of all others it is 0.001."""
 
 
 def compare_numbers(tables: dict[str, pd.DataFrame], judged: bool) -> pd.DataFrame:
@@ -245,6 +241,5 @@ def _number(published: pd.Series, ours: pd.Series | None, metric: str, judged: b
     if not judged:
         return numbers
     lower = None if metric in COUNTS else metric not in HIGHER_IS_BETTER
-    settings = {"spread": spread, "seeds": seeds, "digit": DIGITS.get(metric, 0.001), "lower_is_better": lower}
-    verdict = judge_number(paper, value, **settings)
+    verdict = judge_number(paper, value, spread=spread, seeds=seeds, digit=COUNTS.get(metric, 0.001), lower_is_better=lower)
     return numbers | {"verdict": verdict.word, "note": verdict.why}

@@ -17,7 +17,7 @@ from dualdepth.errors import InputError
 from dualdepth.evaluation.baselines import GRID, depth_sums, mean_depth
 from dualdepth.evaluation.depth import resize_bilinear
 from dualdepth.evaluation.make3d import CONVENTIONS, FARTHEST, METRICS, ROWS, Convention, evaluate_make3d, visible
-from dualdepth.files import file_digest, write_text
+from dualdepth.files import file_digest
 from dualdepth.model import DepthModel
 from dualdepth.run import Run, Sources
 from dualdepth.tables.rows import comparisons, method_row, paired, with_paper
@@ -80,11 +80,10 @@ def predict_photos(model: DepthModel, pairs: Sequence[PhotoGrid], convention: Co
 def score_photos(training: Trained, photos: Photos, convention: Convention) -> pd.DataFrame:
     """Metrics of each photo by a training's last weights, kept beside them as `make3d_<convention>.csv` and reused while they fit."""
 
-    def score(path: Path) -> None:
-        depths = predict_photos(training.model, photos.pairs, convention)
-        write_text(path, evaluate_make3d(depths, photos.grids, convention).to_csv())
+    def score() -> pd.DataFrame:
+        return evaluate_make3d(predict_photos(training.model, photos.pairs, convention), photos.grids, convention)
 
-    return pd.read_csv(training.kept(f"make3d_{convention}.csv", {"photos": photos.digest}, score), index_col="image")
+    return training.kept(f"make3d_{convention}.csv", {"photos": photos.digest}, score)
 
 
 def make3d_scores(run: Run, seeds: Sequence[int]) -> Scores:

@@ -72,7 +72,7 @@ def paired(
 ) -> list[dict[str, Any]]:
     """Rows of `COMPARISON`: two methods over the images that both have, image by image and seed by seed; a is said to be better.
 
-    A method that knows no seed stands against every seed of the other. For `block` see `paired_bootstrap`.
+    A method that knows no seed stands against every seed of the other. For `block` see `compare`.
     """
     place = {"of": of or part or "", "a": a, "b": b}
     if reason := _why_not(scores, a, b):

@@ -5,7 +5,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dualdepth.evaluation.regions import POLE
+from dualdepth.evaluation.parts import POLE
 from dualdepth.tables import plots
 from dualdepth.tables.figures import around, boundary_window, far_window, interpolated, pole_window
 from dualdepth.tables.plots import map_rows

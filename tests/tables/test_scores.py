@@ -58,7 +58,7 @@ def run(tmp_path, monkeypatch):
 
 def training(run, variant="lr", seed=0):
     """As another notebook sees it, which has read nothing yet."""
-    module._scored.cache_clear()
+    module._made.cache_clear()
     return Trained(run, variant, seed)
 
 
@@ -178,7 +178,7 @@ def test_baselines_are_predicted_from_the_other_drives_or_from_training_frames_o
     (run.prepared / "baseline_truth.npz").unlink()
     frames = [[DRIVES[0], i, "image_02"] for i in range(3)]
     write_json(run.prepared / "test_frames.json", {"frames": frames, "listed": 3})
-    module._scored.cache_clear()
+    module._made.cache_clear()
     assert baseline_depths(run, "mean_map")[0] is None
 
 

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from dualdepth import paper
-from dualdepth.evaluation.distance import PARTS
+from dualdepth.evaluation.parts import PARTS
 from dualdepth.tables.distance import RATIOS, distance_claims, distance_scores, distance_table
 from dualdepth.tables.rows import COMPARISON, gains
 from dualdepth.tables.scores import Scores

@@ -8,7 +8,7 @@ from dualdepth import paper
 from dualdepth.data.label_maps import label_path
 from dualdepth.errors import InputError
 from dualdepth.evaluation.depth import METRICS
-from dualdepth.evaluation.regions import REGIONS
+from dualdepth.evaluation.parts import REGIONS
 from dualdepth.files import write_json
 from dualdepth.run import Sources
 from dualdepth.tables.rows import COMPARISON
@@ -100,7 +100,7 @@ def test_labels_of_real_frames_are_named_by_the_file_beside_them(prepare, tmp_pa
     assert "labels by some/segformer" in table_of(run, [0])["note"].iloc[-1]
     for text in ("{}", "[1]", "{"):
         (tmp_path / "labels" / "labels.json").write_text(text)
-        with pytest.raises(InputError, match=r"labels\.json: names no model"):
+        with pytest.raises(InputError, match=r"labels\.json: cannot be read .*export_labels"):
             labels_made_by(run)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from dualdepth import paper
 from dualdepth.evaluation.depth import resize_bilinear
-from dualdepth.evaluation.regions import POLE
+from dualdepth.evaluation.parts import POLE
 from dualdepth.evaluation.sharpness import boundary_scores, tenengrad
 from dualdepth.tables import sharpness
 from dualdepth.tables.rows import COMPARISON
