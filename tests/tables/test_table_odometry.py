@@ -1,7 +1,5 @@
 """From PoseNet's motions to trajectories and their scores, on sequences that are made here."""
 
-import json
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -22,7 +20,6 @@ from dualdepth.networks.pose_net import PoseNet
 from dualdepth.profile import load_profile
 from dualdepth.run import Run, Sources
 from dualdepth.tables import odometry as table_module
-from dualdepth.tables import trajectories
 from dualdepth.tables.odometry import odometry_claims, odometry_scores, odometry_table, trajectory_table
 from dualdepth.tables.scores import Scores, Trained
 from dualdepth.tables.trajectories import (
@@ -36,6 +33,7 @@ from dualdepth.tables.trajectories import (
     true_trajectory,
 )
 from dualdepth.training.weights import save_weights
+from tests.small_checkout import write_profile
 
 SIZE = (192, 192)
 
@@ -103,18 +101,9 @@ def run(tmp_path, model):
     write_sequence(root, "00", range(4))
     write_sequence(root, "09", range(8))
     write_calibration(tmp_path / "raw")
-    profile = tmp_path / "own.yaml"
-    profile.write_text(
-        json.dumps(
-            {
-                "about": "a test",
-                "data": {"source": "kitti", "train_drives": ["d"], "odometry_train": ["00"], "odometry_test": ["09"], "hr_size": SIZE},
-                "training": {"precision": "float32"},
-                "train": {"lr": None, "odometry_lr": None},
-            }
-        )
-    )
-    run = Run(str(profile), tmp_path)
+    data = {"source": "kitti", "train_drives": ["d"], "odometry_train": ["00"], "odometry_test": ["09"], "hr_size": SIZE}
+    trained = {"lr": None, "odometry_lr": None}
+    run = Run(write_profile(tmp_path / "own.yaml", "resnet18", {}, data=data, train=trained), tmp_path)
     Sources(tmp_path / "raw", tmp_path / "list.txt", odometry_root=root).save(run)
     save(run, model, ["2011_10_03/2011_10_03_drive_0027_sync"])
     return run
@@ -144,19 +133,6 @@ def test_a_sequence_is_scored_and_its_trajectory_written(run):
     }
     written = read_trajectory(run.results / "trajectories" / "odometry_lr_seed0_09.txt")
     np.testing.assert_allclose(written.poses, chain(predicted_motions(training(run), "09")), atol=1e-5)
-
-
-def test_motions_are_kept_and_made_anew_for_other_weights(run, model, monkeypatch):
-    first = predicted_motions(training(run), "09")
-    counted = []
-    original = trajectories.predict_poses
-    monkeypatch.setattr(trajectories, "predict_poses", lambda *a, **k: counted.append(1) or original(*a, **k))
-    np.testing.assert_array_equal(predicted_motions(training(run), "09"), first)
-    assert not counted
-    with torch.no_grad():
-        changed = PoseModel(PoseNet().eval(), SIZE)
-    save(run, changed, ["2011_10_03/2011_10_03_drive_0027_sync"])
-    assert np.abs(predicted_motions(training(run), "09") - first).max() > 0 and counted
 
 
 def test_weights_that_saw_the_sequences_raw_drive_are_refused_or_named_in_the_table(run, model):
