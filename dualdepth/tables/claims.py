@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from dualdepth.evaluation.statistics import t_interval
+from dualdepth.evaluation.statistics import Comparison, t_interval
 from dualdepth.paper import DEPTH
 
 REPRODUCED, WITHIN_NOISE, NOT_REPRODUCED, NOT_RUN = "reproduced", "within noise", "not reproduced", "not run"
@@ -51,22 +51,14 @@ def judge_number(paper: float, ours: float, *, spread: float, seeds: int, digit:
     return Verdict(NOT_REPRODUCED)
 
 
-def judge_claim(difference: float, low: float, high: float, *, spread: float, seeds: int, lower_is_better: bool) -> Verdict:
-    """Whether a claim of the paper holds (`RULES`).
-
-    Args:
-        difference: mean of the method that is claimed to be better minus the other.
-        low, high: ends of its 95 % interval over images.
-        spread, seeds: its standard deviation over seeds, NaN for one, and how many there are.
-        lower_is_better: of the metric.
-    """
-    if np.isnan(difference):
+def judge_claim(comparison: Comparison, *, lower_is_better: bool) -> Verdict:
+    """Whether a claim of the paper holds (`RULES`), by the comparison of the method that is claimed to be better with the other."""
+    if np.isnan(comparison.difference):
         return Verdict(NOT_RUN)
-    certain = (low > 0 or high < 0) and (seeds < 2 or abs(difference) > t_interval(spread, seeds))
-    one = "" if seeds > 1 else "one seed"
-    if not certain:
+    one = "" if comparison.seeds > 1 else "one seed"
+    if not comparison.clear_of_images or comparison.clear_of_seeds is False:
         return Verdict(WITHIN_NOISE, one)
-    return Verdict(REPRODUCED if (difference < 0) == lower_is_better else NOT_REPRODUCED, one)
+    return Verdict(REPRODUCED if (comparison.difference < 0) == lower_is_better else NOT_REPRODUCED, one)
 
 
 class Claim(NamedTuple):
@@ -150,9 +142,8 @@ def _judge(tables: dict[str, pd.DataFrame], claim: Claim, metric: str) -> tuple[
     row = rows.iloc[0]
     if pd.isna(row["difference"]):
         return {}, Verdict(NOT_RUN, row["reason"])
-    tested = {name: float(row[name]) for name in ("difference", "low", "high", "spread")} | {"seeds": int(row["seeds"])}
-    verdict = judge_claim(**tested, lower_is_better=row["better"] == "lower")
-    return {"mean_a": float(row["mean_a"]), "mean_b": float(row["mean_b"]), **tested, "n": row["n"]}, verdict
+    found = Comparison(*(float(row[name]) for name in Comparison._fields[:-1]), int(row["seeds"]))
+    return found._asdict() | {"n": row["n"]}, judge_claim(found, lower_is_better=row["better"] == "lower")
 
 
 class PaperRow(NamedTuple):

@@ -16,7 +16,7 @@ from dualdepth.data.make3d import MAKE3D_PHOTOS, PhotoGrid, find_pairs, is_trunc
 from dualdepth.errors import InputError
 from dualdepth.evaluation.baselines import GRID, depth_sums, mean_depth
 from dualdepth.evaluation.depth import resize_bilinear
-from dualdepth.evaluation.make3d import CONVENTIONS, FARTHEST, METRICS, ROWS, Convention, evaluate_make3d, visible
+from dualdepth.evaluation.make3d import CONVENTIONS, FARTHEST, METRICS, ROWS, evaluate_make3d, visible
 from dualdepth.files import file_digest
 from dualdepth.model import DepthModel
 from dualdepth.run import Run, Sources
@@ -68,7 +68,7 @@ def _read(pairs: tuple[PhotoGrid, ...], changed: tuple[tuple[int, int], ...]) ->
     return Photos(pairs, grids, truncated, hashlib.sha256(str(digests).encode()).hexdigest())
 
 
-def predict_photos(model: DepthModel, pairs: Sequence[PhotoGrid], convention: Convention) -> np.ndarray:
+def predict_photos(model: DepthModel, pairs: Sequence[PhotoGrid], convention: str) -> np.ndarray:
     """Depth (N, h, w) of what the network is shown of each photo, at its own size, of unknown scale."""
 
     def read(path: str | Path) -> np.ndarray:
@@ -77,7 +77,7 @@ def predict_photos(model: DepthModel, pairs: Sequence[PhotoGrid], convention: Co
     return 1.0 / model.disparities([pair.photo for pair in pairs], read=read)
 
 
-def score_photos(training: Trained, photos: Photos, convention: Convention) -> pd.DataFrame:
+def score_photos(training: Trained, photos: Photos, convention: str) -> pd.DataFrame:
     """Metrics of each photo by a training's last weights, kept beside them as `make3d_<convention>.csv` and reused while they fit."""
 
     def score() -> pd.DataFrame:
@@ -98,7 +98,7 @@ def make3d_scores(run: Run, seeds: Sequence[int]) -> Scores:
             scores = scores.plus(name, None, NO_PHOTOS)
         return scores
 
-    def by_convention(score: Callable[[Convention], pd.DataFrame]) -> pd.DataFrame:
+    def by_convention(score: Callable[[str], pd.DataFrame]) -> pd.DataFrame:
         return pd.concat({c: score(c) for c in CONVENTIONS}, names=["part"]).swaplevel()
 
     def untrained(seed: int) -> pd.DataFrame:
