@@ -37,19 +37,14 @@ def test_the_paper_profile_is_the_papers_recipe():
     profile = load_profile("paper")
     training = profile.training
     for stage, epochs in zip((training.lr, training.hr), RECIPE["epochs"]):
-        assert stage.epochs == epochs == 40
-        assert stage.batch_size == RECIPE["batch_size"] == 4
-        assert (stage.beta1, stage.beta2) == (RECIPE["beta1"], RECIPE["beta2"]) == (0.9, 0.999)
-        assert tuple(stage.learning_rates) == RECIPE["learning_rates"] == ((10, 2e-4), (20, 1e-4), (40, 5e-5))
-        assert stage.max_steps is None
-    assert profile.data.hr_size == RECIPE["hr_size"] == (384, 1248)
-    assert profile.data.lr_size == RECIPE["lr_size"] == (128, 416)
-    assert training.loss.alpha == RECIPE["alpha"] == 0.85
-    assert training.loss.scales == len(RECIPE["scales"]) == 4
-    assert training.encoder == "resnet50"
-    assert training.pretrained is True
-    assert training.augmentation.augment_first
-    assert training.loss.feature > 0
+        assert (stage.epochs, stage.max_steps) == (epochs, None) and epochs == 40
+        values = (stage.batch_size, stage.beta1, stage.beta2, tuple(stage.learning_rates))
+        assert values == tuple(RECIPE[name] for name in ("batch_size", "beta1", "beta2", "learning_rates"))
+        assert values == (4, 0.9, 0.999, ((10, 2e-4), (20, 1e-4), (40, 5e-5)))
+    assert (profile.data.hr_size, profile.data.lr_size) == (RECIPE["hr_size"], RECIPE["lr_size"]) == ((384, 1248), (128, 416))
+    assert (training.loss.alpha, training.loss.scales) == (RECIPE["alpha"], len(RECIPE["scales"])) == (0.85, 4)
+    assert (training.encoder, training.pretrained) == ("resnet50", True)
+    assert training.augmentation.augment_first and training.loss.feature > 0
     assert (profile.data.train_list, profile.data.test_list) == ("eigen_zhou", "eigen_test")
 
 

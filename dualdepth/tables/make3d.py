@@ -14,7 +14,7 @@ from dualdepth.data.depth_maps import load_ground_truth
 from dualdepth.data.frames import resample
 from dualdepth.data.make3d import MAKE3D_PHOTOS, PhotoGrid, find_pairs, is_truncated, read_grid, read_photo
 from dualdepth.errors import InputError
-from dualdepth.evaluation.baselines import GRID, depth_sums, mean_depth
+from dualdepth.evaluation.baselines import depth_sums, mean_depth
 from dualdepth.evaluation.depth import resize_bilinear
 from dualdepth.evaluation.make3d import CONVENTIONS, FARTHEST, METRICS, ROWS, evaluate_make3d, visible
 from dualdepth.files import file_digest
@@ -123,7 +123,7 @@ def training_mean(run: Run) -> float | None:
     fitted = run.prepared / "baseline_truth.npz"
     if not fitted.exists():
         return None
-    return mean_depth(depth_sums(load_ground_truth(fitted), grid=GRID, max_depth=run.profile.evaluation.max_depth), "constant").item()
+    return mean_depth(depth_sums(load_ground_truth(fitted), max_depth=run.profile.evaluation.max_depth), "constant").item()
 
 
 def make3d_table(run: Run, scores: Scores) -> pd.DataFrame:

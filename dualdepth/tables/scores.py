@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 import torch
-from pydantic import BaseModel
+from pydantic import TypeAdapter
 
 from dualdepth.data.depth_maps import DepthMaps, load_ground_truth
 from dualdepth.data.kitti import Frame, image_path
@@ -31,13 +31,6 @@ SHOWN_MEDIAN = 10.0
 """Median depth that a map without ground truth is shown with: its scale is unknown, and the colour scale goes from 3 to 80."""
 
 
-class _FrameList(BaseModel):
-    """`test_frames.json`: how many frames the list named, and those that are scored."""
-
-    listed: int
-    frames: list[Frame]
-
-
 class Scored:
     """The frames that a run scores, in the order of their ground truth (notebook 02).
 
@@ -48,10 +41,10 @@ class Scored:
     def __init__(self, run: Run) -> None:
         path = run.require(run.prepared / "test_frames.json", "02_prepare_data")
         with reading(path, "run notebook 02_prepare_data again"):
-            found = _FrameList.model_validate_json(path.read_bytes())
-        self.run, self.frames = run, found.frames
-        self.drives = sorted({frame.drive for frame in found.frames})
-        self.note = "" if len(found.frames) == found.listed else f"{len(found.frames)} of {found.listed} frames"
+            found = json.loads(path.read_bytes())
+            self.frames, listed = TypeAdapter(list[Frame]).validate_python(found["frames"]), int(found["listed"])
+        self.run, self.drives = run, sorted({frame.drive for frame in self.frames})
+        self.note = "" if len(self.frames) == listed else f"{len(self.frames)} of {listed} frames"
         """What a table must say of an incomplete list, such as "25 of 697 frames"; else empty."""
 
     @functools.cached_property

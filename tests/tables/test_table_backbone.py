@@ -12,7 +12,7 @@ from dualdepth.networks.architecture import Architecture
 from dualdepth.tables import backbone
 from dualdepth.tables.backbone import NETWORKS, NO_WEIGHTS, WITHOUT_DECODER, backbone_claims, backbone_scores, backbone_table, cost_row
 
-TEXT = "about: x\ndata:\n  source: kitti\n  train_list: eigen_zhou\ntraining: {{pretrained: {}}}\n"
+PRETRAINED = "training: {{pretrained: {}}}\n"
 VALUES = {"mobilenet_v2": 0.5, "resnet18": 0.4, "dual": 0.2, "lr": 0.3, "dual_scratch": 0.25}
 
 
@@ -99,7 +99,7 @@ def test_each_network_has_its_cost_and_the_metrics_of_its_training(scored, cheap
 
 
 def test_what_is_not_trained_has_its_cost_and_without_imagenet_weights_their_row_says_not_run(scored, cheap, make_run):
-    measured = table_of(make_run("own", text=TEXT.format("false")), [0]).query("source != 'paper'").set_index("backbone")
+    measured = table_of(make_run("own", kitti=PRETRAINED.format("false")), [0]).query("source != 'paper'").set_index("backbone")
     assert measured.index[-2:].tolist() == ["w/ pt", "w/o pt"]
     row = measured.loc["MobileNet V2"]
     assert row["gmacs"] == 2 and row["abs_rel"] != row["abs_rel"]
@@ -112,8 +112,8 @@ def test_what_is_not_trained_has_its_cost_and_without_imagenet_weights_their_row
 
 def test_with_imagenet_weights_both_rows_have_their_training(scored, cheap, make_run, cards):
     cards["dual"] = {"pretrained": True}
-    text = TEXT.format("true") + "train: {lr: , lr_scratch: , dual: , dual_scratch: }\n"
-    measured = table_of(make_run("own", text=text), [0]).query("source == 'measured'").set_index("backbone")
+    text = PRETRAINED.format("true") + "train: {lr: , lr_scratch: , dual: , dual_scratch: }\n"
+    measured = table_of(make_run("own", kitti=text), [0]).query("source == 'measured'").set_index("backbone")
     assert measured.loc["w/ pt", "abs_rel"] == pytest.approx(0.2) and measured.loc["w/ pt", "variant"] == "dual"
     assert measured.loc["w/o pt", "abs_rel"] == pytest.approx(0.25) and measured.loc["w/o pt", "variant"] == "dual_scratch"
     assert "no ImageNet" not in measured.loc["w/ pt", "note"] and "no ImageNet" in measured.loc["w/o pt", "note"]
@@ -124,7 +124,7 @@ ALL = "train: {lr: , lr_scratch: , dual: , dual_scratch: , resnet18: , mobilenet
 
 @pytest.mark.parametrize("pretrained", [True, False])
 def test_claims_are_compared_with_the_better_one_first_and_that_of_imagenet_weights_only_with_them(scored, make_run, pretrained):
-    table = backbone_claims(backbone_scores(make_run("own", text=TEXT.format(str(pretrained).lower()) + ALL), [0, 1]))
+    table = backbone_claims(backbone_scores(make_run("own", kitti=PRETRAINED.format(str(pretrained).lower()) + ALL), [0, 1]))
     errors = table[table["metric"] != "a1"].set_index("b")
     assert list(errors.index) == ["resnet18", "mobilenet_v2", "dual_scratch"] and errors["a"].eq("dual").all()
     assert errors["reason"].tolist() == ["", "", "" if pretrained else NO_WEIGHTS]

@@ -58,10 +58,10 @@ def test_faults_of_far_depth_show_in_the_far_rows_with_one_ratio_and_go_with_a_r
             assert table.loc[(variant, NEAR, scaling), "abs_rel"] == pytest.approx(FAULT[variant] * SHARE)
 
 
-def test_the_gain_is_judged_in_each_part(run):
-    claims = distance_claims(distance_scores(run, [0, 1]))
-    assert list(claims.columns) == COMPARISON
-    claims = claims[claims["of"].isin(PARTS)].query("metric == 'abs_rel'").set_index(["of", "a", "b"])
+def test_the_gain_is_judged_in_each_part_and_far_against_near(run):
+    table = distance_claims(distance_scores(run, [0, 1]))
+    assert list(table.columns) == COMPARISON
+    claims = table[table["of"].isin(PARTS)].query("metric == 'abs_rel'").set_index(["of", "a", "b"])
     assert set(claims.index) == {(part, a, "lr") for part in PARTS for a in ("dual", "dual_no_sa")}
     far = claims.loc[(FAR, "dual", "lr")]
     assert far["difference"] == pytest.approx(-0.3) and far["spread"] == pytest.approx(0, abs=1e-9)
@@ -69,10 +69,8 @@ def test_the_gain_is_judged_in_each_part(run):
     assert claims.loc[(NEAR, "dual", "lr"), "difference"] == pytest.approx(-0.1 * SHARE)
     assert claims.loc[(NEAR, "dual_no_sa", "lr"), "difference"] == pytest.approx(0, abs=1e-9)
 
-
-def test_the_gain_of_far_pixels_is_compared_with_that_of_near_ones(run):
-    """Far errors are 0.3 and 0.4 before; 0 and 0.1 after with `dual`, 0.2 and 0.3 with `dual_no_sa`."""
-    claims = distance_claims(distance_scores(run, [0, 1])).query("of == '> 20 m against <= 20 m'")
+    # far errors are 0.3 and 0.4 before; 0 and 0.1 after with `dual`, 0.2 and 0.3 with `dual_no_sa`
+    claims = table.query("of == '> 20 m against <= 20 m'")
     assert claims["metric"].eq("abs_rel").all() and claims["n"].eq(3).all()
     claims = claims.set_index("a")
     expected = {  # far, near

@@ -64,8 +64,7 @@ def test_baselines_say_what_they_were_fitted_on_and_keep_their_rows_where_they_c
 
 
 def test_real_frames_an_incomplete_list_and_what_is_not_trained_are_named(run, make_run):
-    text = "about: x\ndata:\n  source: kitti\n  train_list: eigen_zhou\ntrain: {lr: }\n"
-    rows = ours(make_run("own", text=text, frames=25, listed=697), [0])
+    rows = ours(make_run("own", kitti="train: {lr: }\n", frames=25, listed=697), [0])
     assert set(rows["dataset"]) == {"K"}
     missing = rows.loc["LR-Net + HR-Net, w/ SA"]
     assert np.isnan(missing["abs_rel"]) and missing["reason"] == "profile own does not train dual"

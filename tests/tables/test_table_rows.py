@@ -14,8 +14,6 @@ from dualdepth.tables import rows as rows_module
 from dualdepth.tables.rows import COMPARISON, compared, comparisons, in_words, method_row, over_seeds, paired, readable, tell
 from dualdepth.tables.scores import SEEDLESS, Scores, Trained, collect
 
-KITTI = "about: x\ndata:\n  source: kitti\n  train_list: eigen_zhou\n"
-
 
 def frame(values, start=0, column="abs_rel"):
     return pd.DataFrame({column: values}, index=pd.RangeIndex(start, start + len(values), name="image"))
@@ -51,7 +49,7 @@ def test_all_seven_metrics_are_in_a_trainings_row(make_run, make_scores, give):
 
 def test_a_variant_that_is_not_trained_says_so_and_is_not_asked_for_scores(make_run, make_scores, give):
     give(lambda variant, seed: {"lr": make_scores(0.2)}[variant])
-    scores = collect(make_run("own", text=KITTI + "train: {lr: }\n"), ["lr", "dual"], [0])
+    scores = collect(make_run("own", kitti="train: {lr: }\n"), ["lr", "dual"], [0])
     assert method_row(scores, "dual") == {"variant": "dual", "source": "not run", "reason": "profile own does not train dual"}
 
 
@@ -67,7 +65,7 @@ def test_a_variant_that_is_not_trained_says_so_and_is_not_asked_for_scores(make_
 )
 def test_a_training_is_described_by_its_card(make_run, cards, variant, card, note):
     cards[variant] = {"encoder": "resnet34"} | card
-    assert Trained(make_run("own", text=KITTI), variant, 2).describe() == note  # the profile says resnet50 with ImageNet weights
+    assert Trained(make_run("own", kitti=""), variant, 2).describe() == note  # the profile says resnet50 with ImageNet weights
 
 
 def test_a_row_says_when_scored_drives_were_trained_on(make_run, make_scores, give, cards):
@@ -109,7 +107,7 @@ def test_only_images_that_both_have_are_compared():
 
 def test_a_pair_that_was_not_trained_has_a_reason_alone(make_run, make_scores, give):
     give(lambda variant, seed: make_scores(0.2))
-    run = make_run("own", text=KITTI + "train: {lr: , dual: }\n")
+    run = make_run("own", kitti="train: {lr: , dual: }\n")
     scores = collect(run, ["lr", "dual", "dual_no_sa", "hr_only"], [0])
     table = comparisons(
         row for pair in (("dual", "dual_no_sa"), ("dual", "lr"), ("dual_no_sa", "hr_only")) for row in paired(scores, *pair)

@@ -29,7 +29,6 @@ world: {size: [200, 200]}
 data: {source: miniature, hr_size: [192, 192]}
 training: {precision: float32, encoder: resnet18, pretrained: false}
 """
-KITTI = "about: x\ndata:\n  source: kitti\n  train_list: eigen_zhou\n"
 PAPER_RATIO = 106987.2 / 20784.4
 
 
@@ -145,7 +144,7 @@ def test_numbers_and_ratios_have_their_spread_over_seeds(run, monkeypatch):
 
 
 def test_two_networks_are_needed(run, make_run, check_paper_rows):
-    table = table_of(make_run("other", text=KITTI + "train: {lr: }\n"), [0])
+    table = table_of(make_run("other", kitti="train: {lr: }\n"), [0])
     check_paper_rows(table, paper.table("sharpness"))
     assert set(table.columns) == set(table_of(run, [0]).columns) - {"variant"}
     ours = table.query("source == 'not run'")
@@ -189,7 +188,7 @@ def test_images_without_a_pole_do_not_count_on_poles(run, monkeypatch):
 
 
 def test_real_frames_have_no_exact_depth_and_the_table_and_the_claims_say_so(run, make_run):
-    own = make_run("kitti", text=KITTI)
+    own = make_run("kitti", kitti="")
     table = details_of(own, [0])
     assert table["method"].tolist() == ["LR-Net", "LR-Net + HR-Net, w/o SA", "LR-Net + HR-Net, w/ SA"]
     assert table["reason"].eq(NO_DENSE_TRUTH).all() and not table.select_dtypes("number").notna().any(axis=None)
