@@ -47,7 +47,7 @@ def numbers(name):
     return [[float(v) for v in row if isinstance(v, int | float) and not math.isnan(v)] for row in frame.itertuples(index=False)]
 
 
-@pytest.mark.parametrize("name", sorted(set(paper.TABLES) - {"sharpness", "sa_region"}))
+@pytest.mark.parametrize("name", sorted(set(MARKS) - {"sharpness", "sa_region"}))
 def test_every_row_has_the_numbers_of_the_paper(name):
     assert numbers(name) == tex_rows(name)
 
@@ -67,14 +67,6 @@ def test_rows_of_the_main_table_have_their_supervision():
     for row in paper.table("main").itertuples():
         cells = rf"& {re.escape(row.dataset)} +& +{re.escape(row.supervision)} +& (?:\\textbf{{)?{row.abs_rel:.3f}"
         assert re.search(cells, text), row
-
-
-def test_rows_that_repeat_agree():
-    main, ablation = paper.table("main").iloc[-1], paper.table("ablation").iloc[-1]
-    backbone = paper.table("backbone").set_index("backbone")
-    assert list(main[list(paper.DEPTH)]) == list(ablation[list(paper.DEPTH)])
-    for row in ("Dual-network (ResNet50)", "w/ pt"):
-        assert all(backbone.loc[row, m] == main[m] for m in paper.DEPTH if m != "rmse_log")
 
 
 def test_the_oddities_that_a_table_shows_are_there():

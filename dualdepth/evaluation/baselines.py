@@ -11,7 +11,6 @@ import numpy as np
 
 from dualdepth.errors import InputError
 
-BASELINES = ("constant", "row_mean", "mean_map")
 GRID = (47, 156)
 """Cells of about 8 × 8 KITTI pixels: sparse scans of few frames fill them; from 4 to 32 pixels the scores hardly change."""
 
@@ -37,7 +36,7 @@ def mean_depth(sums: np.ndarray, baseline: str) -> np.ndarray:
     """A baseline's depth on the grid: (1, 1), (h, 1) or (h, w) float32, metres, all positive.
 
     It is the mean over everything; over each row of the grid, a row without a measurement taking the nearest row that has one; or over
-    each cell, a cell without one taking its row's mean (`BASELINES`).
+    each cell, a cell without one taking its row's mean (`constant`, `row_mean`, `mean_map`).
 
     Raises:
         InputError: there is no valid depth.

@@ -30,21 +30,20 @@ class Verdict(NamedTuple):
     why: str = ""
 
 
-def judge_number(paper: float, ours: float, *, spread: float, seeds: int, digit: float, lower_is_better: bool | None) -> Verdict:
+def judge_number(metric: str, paper: float, ours: float, *, spread: float, seeds: int) -> Verdict:
     """Whether a number of the paper is reproduced (`RULES`).
 
     Args:
+        metric: which it is, such as `abs_rel`.
         paper, ours: the paper's, and our mean over seeds.
         spread, seeds: our standard deviation over seeds, NaN for one, and how many there are.
-        digit: the last digit that the paper prints, such as 0.001.
-        lower_is_better: None where neither is, as for a parameter count.
     """
     if np.isnan(ours):
         return Verdict(NOT_RUN)
     difference = ours - paper
-    if abs(difference) <= max(TOLERANCE * abs(paper), digit / 2) * (1 + 1e-9):
+    if abs(difference) <= max(TOLERANCE * abs(paper), COUNTS.get(metric, 0.001) / 2) * (1 + 1e-9):
         return Verdict(REPRODUCED)
-    if lower_is_better is not None and (difference < 0) == lower_is_better:
+    if metric not in COUNTS and (difference > 0) == (metric in HIGHER_IS_BETTER):
         return Verdict(REPRODUCED, "better than the paper's")
     if seeds > 1 and abs(difference) <= t_interval(spread, seeds):
         return Verdict(WITHIN_NOISE)
@@ -231,6 +230,5 @@ def _number(published: pd.Series, ours: pd.Series | None, metric: str, judged: b
         return numbers | {"note": CLOSEST}
     if not judged:
         return numbers
-    lower = None if metric in COUNTS else metric not in HIGHER_IS_BETTER
-    verdict = judge_number(paper, value, spread=spread, seeds=seeds, digit=COUNTS.get(metric, 0.001), lower_is_better=lower)
+    verdict = judge_number(metric, paper, value, spread=spread, seeds=seeds)
     return numbers | {"verdict": verdict.word, "note": verdict.why}

@@ -2,7 +2,6 @@
 
 import hashlib
 from collections.abc import Callable, Sequence
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,7 +20,7 @@ from dualdepth.files import file_digest
 from dualdepth.model import DepthModel
 from dualdepth.run import Run, Sources
 from dualdepth.tables.rows import comparisons, method_row, paired, with_paper
-from dualdepth.tables.scores import SEEDLESS, Scores, Trained, collect, untrained_net
+from dualdepth.tables.scores import SEEDLESS, Scores, Trained, collect, opened, untrained_net
 
 VARIANTS = ("lr", "dual_no_sa", "dual")
 NO_PHOTOS = "no MAKE3D_ROOT; get it with python data_scripts/download_make3d.py --root DIR"
@@ -51,12 +50,10 @@ def load_photos(run: Run) -> Photos | None:
     if root is None:
         return None
     pairs = tuple(find_pairs(root))
-    stats = [path.stat() for pair in pairs for path in (pair.photo, pair.grid)]
-    return _read(pairs, tuple((s.st_size, s.st_mtime_ns) for s in stats))
+    return opened(_read, (pairs,), *(path for pair in pairs for path in (pair.photo, pair.grid)))
 
 
-@lru_cache(maxsize=2)
-def _read(pairs: tuple[PhotoGrid, ...], changed: tuple[tuple[int, int], ...]) -> Photos:
+def _read(pairs: tuple[PhotoGrid, ...]) -> Photos:
     grids = np.stack([read_grid(pair.grid) for pair in pairs])
     truncated = tuple(pair.photo.name for pair in pairs if is_truncated(pair.photo))
     if len(truncated) > 1:

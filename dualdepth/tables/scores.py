@@ -88,7 +88,7 @@ class Scored:
 
 def scored(run: Run) -> Scored:
     """`Scored` of a run, read once as long as notebook 02 is not run again."""
-    return _opened(Scored, (run,), run.prepared / "test_frames.json")
+    return opened(Scored, (run,), run.prepared / "test_frames.json")
 
 
 class Trained:
@@ -199,16 +199,17 @@ class Trained:
 
 def trained(run: Run, variant: str, seed: int) -> Trained:
     """`Trained`, one for the same weights and frames, so that tables that ask for the same scores compute them once."""
-    return _opened(Trained, (run, variant, seed), run.weights(variant, seed), run.prepared / "ground_truth.npz")
+    return opened(Trained, (run, variant, seed), run.weights(variant, seed), run.prepared / "ground_truth.npz")
 
 
-def _opened(kind: Callable[..., Any], arguments: tuple[Any, ...], *files: Path) -> Any:
+def opened(kind: Callable[..., Any], arguments: tuple[Any, ...], *files: Path) -> Any:
     """`kind(*arguments)`, the same object as long as none of the files changes."""
-    return _made(kind, arguments, *(path.stat().st_mtime_ns if path.exists() else 0 for path in files))
+    stats = [path.stat() if path.exists() else None for path in files]
+    return _made(kind, arguments, *((s.st_size, s.st_mtime_ns) if s else None for s in stats))
 
 
 @functools.lru_cache(maxsize=256)
-def _made(kind: Callable[..., Any], arguments: tuple[Any, ...], *changed: int) -> Any:
+def _made(kind: Callable[..., Any], arguments: tuple[Any, ...], *changed: tuple[int, int] | None) -> Any:
     return kind(*arguments)
 
 

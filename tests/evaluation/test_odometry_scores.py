@@ -220,12 +220,3 @@ def test_a_short_trajectory_has_no_segments():
 def test_the_mean_step_counts_every_step_once():
     turned = pose(yaw(1.2), (5, 5, 5)) @ straight(2, 4.0)
     np.testing.assert_allclose(odometry.mean_step([straight(4), turned]), [0, 0, (3 * 1 + 4) / 4], atol=1e-12)
-
-
-def test_controls_move_as_they_say():
-    step = np.array([0.1, -0.2, 0.9])
-    poses = odometry.constant_velocity(3, step)
-    np.testing.assert_allclose(poses[:, :3, 3], [0 * step, step, 2 * step])
-    assert (poses[:, :3, :3] == np.eye(3)).all()
-    truth = wander(5, 14)
-    np.testing.assert_allclose(odometry.inverted(truth), [np.linalg.inv(np.linalg.inv(truth[0]) @ p) for p in truth], atol=1e-12)

@@ -6,7 +6,7 @@ import pytest
 from slow_metrics import slow_metrics
 
 from dualdepth.errors import InputError
-from dualdepth.evaluation.depth import evaluate, evaluate_parts
+from dualdepth.evaluation.depth import evaluate_parts
 from dualdepth.evaluation.parts import POLE, REGIONS, class_errors, in_regions, near_and_far
 
 NEAR, FAR = "<= 20 m", "> 20 m"
@@ -65,16 +65,6 @@ def test_exactly_20_m_is_near_and_the_next_number_is_far():
     truth = np.array([[10, 20, 20, above]], np.float32)
     frame = evaluate_parts([truth], [truth], near_and_far, crop="none")
     assert frame["valid_pixels"].to_dict() == {(0, NEAR): 3, (0, FAR): 1}
-
-
-def test_the_parts_together_are_the_pixels_of_the_protocol():
-    predictions, truths, _ = zip(*(sample(seed, (40, 60)) for seed in range(2)))
-    whole = evaluate(predictions, truths, kind="disparity", crop="garg", max_depth=50)
-    parts = evaluate_parts(predictions, truths, near_and_far, kind="disparity", crop="garg", max_depth=50)
-    pixels = parts["valid_pixels"]
-    assert pixels.groupby("image").sum().tolist() == whole["valid_pixels"].tolist()
-    mixed = (parts["abs_rel"] * pixels).groupby("image").sum() / pixels.groupby("image").sum()
-    np.testing.assert_allclose(mixed, whole["abs_rel"])
 
 
 def test_road_is_road_alone_and_green_is_vegetation_and_terrain():

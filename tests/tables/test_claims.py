@@ -6,6 +6,7 @@ import pytest
 
 from dualdepth import paper
 from dualdepth.evaluation.statistics import Comparison
+from dualdepth.report import TITLES
 from dualdepth.run import project_root
 from dualdepth.tables import claims
 from dualdepth.tables.claims import (
@@ -22,19 +23,19 @@ from dualdepth.tables.claims import (
 )
 
 
-def number(ours, paper=0.100, spread=np.nan, seeds=1, digit=0.001, lower=True):
-    return judge_number(paper, ours, spread=spread, seeds=seeds, digit=digit, lower_is_better=lower).word
+def number(ours, paper=0.100, spread=np.nan, seeds=1, metric="abs_rel"):
+    return judge_number(metric, paper, ours, spread=spread, seeds=seeds).word
 
 
 def test_two_percent_half_of_the_last_digit_and_what_is_better_are_reproduced():
     assert number(0.102) == REPRODUCED
     assert number(0.1021) == NOT_REPRODUCED
-    assert number(1.02 * 16.43, paper=16.43, digit=0.01, lower=None) == REPRODUCED
-    assert number(0.97 * 16.43, paper=16.43, digit=0.01, lower=None) == NOT_REPRODUCED
+    assert number(1.02 * 16.43, paper=16.43, metric="params_m") == REPRODUCED
+    assert number(0.97 * 16.43, paper=16.43, metric="params_m") == NOT_REPRODUCED
     assert number(0.0075, paper=0.008) == number(0.0085, paper=0.008) == REPRODUCED
     assert number(0.0087, paper=0.008) == NOT_REPRODUCED
-    assert number(0.05) == REPRODUCED and number(0.05, lower=False) == NOT_REPRODUCED
-    assert number(0.5, lower=False) == REPRODUCED and number(0.05, lower=None) == NOT_REPRODUCED
+    assert number(0.05) == REPRODUCED and number(0.05, metric="a1") == NOT_REPRODUCED
+    assert number(0.5, metric="a1") == REPRODUCED and number(0.05, metric="gmacs") == NOT_REPRODUCED
 
 
 def test_noise_is_the_t_interval_over_seeds():
@@ -59,7 +60,7 @@ def test_a_claim_needs_the_sign_and_both_intervals():
     assert claim(np.nan, 0.005).word == NOT_RUN
 
 
-@pytest.mark.parametrize("name", paper.TABLES)
+@pytest.mark.parametrize("name", TITLES)
 def test_every_row_of_the_paper_that_is_its_own_has_a_pair_with_its_metrics(name):
     table, pairs = paper.table(name), [pair for pair in PAIRS if pair.table == name]
     rows = [claims._row(table, pair.paper, of_paper=True) for pair in pairs]

@@ -11,13 +11,12 @@ import pytest
 
 from dualdepth.data.depth_maps import save_ground_truth
 from dualdepth.errors import InputError
-from dualdepth.evaluation.baselines import BASELINES
 from dualdepth.evaluation.depth import Protocol, evaluate, valid_pixels
 from dualdepth.files import write_json
 from dualdepth.run import Run, Sources
 from dualdepth.settings import Evaluation
 from dualdepth.tables import scores as module
-from dualdepth.tables.main import baseline_depths
+from dualdepth.tables.main import BASELINES, baseline_depths
 from dualdepth.tables.scores import Scored, Trained
 
 DRIVES = ("2011_09_26/2011_09_26_drive_0001_sync", "2011_09_26/2011_09_26_drive_0002_sync")

@@ -87,11 +87,8 @@ def test_each_triplet_is_seen_once_target_first(model, tmp_path, batch_size):
         with torch.inference_mode():
             expected = pose_matrix(model.net(torch.stack([small[k], small[k - 1], small[k + 1]])[None]).double())[0]
         np.testing.assert_allclose(motions[k - 1], expected, atol=1e-6)
-
-
-def test_two_frames_are_too_few(model):
     with pytest.raises(InputError, match="2 frames"):
-        predict_poses(model, ["0.png", "1.png"])
+        predict_poses(model, files[:2])
 
 
 @pytest.fixture
