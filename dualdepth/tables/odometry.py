@@ -1,6 +1,7 @@
 """The odometry table: errors of short snippets as the paper has them, of whole trajectories, and of three controls."""
 
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -109,13 +110,11 @@ def trajectory_table(run: Run, scores: Scores) -> pd.DataFrame:
         if name in scores.missing:
             rows.append({"method": method} | not_run(scores.missing[name]))
             continue
-        for sequence in names(run):
-            for how in ALIGNMENTS:
-                frame = scores.of(name, f"{sequence}, {how}")
-                segments = int(frame["segments"].iloc[0])
-                row = {"method": method, "sequence": sequence, "align": how, **over_seeds(frame, TRAJECTORY)}
-                note = "" if segments else "no segment of 100 m: the path is too short"
-                rows.append(row | method_row(scores, name, ()) | {"segments": segments, "note": note})
+        for sequence, how in product(names(run), ALIGNMENTS):
+            segments = int(scores.of(name, f"{sequence}, {how}")["segments"].iloc[0])
+            row = {"method": method, "sequence": sequence, "align": how, "segments": segments}
+            note = "" if segments else "no segment of 100 m: the path is too short"
+            rows.append(row | method_row(scores, name, TRAJECTORY, f"{sequence}, {how}") | {"note": note})
     columns = ["method", "sequence", "align", *TRAJECTORY, "segments", "seeds", "source", "note", "reason", "leak"]
     return pd.DataFrame(rows).reindex(columns=[*columns, *(f"{m}_std" for m in TRAJECTORY)])
 

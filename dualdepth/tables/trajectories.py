@@ -51,10 +51,9 @@ def sequence_frames(run: Run, entry: str) -> dict[int, Path]:
         InputError: no images, or a gap between them.
     """
     files = frame_files(Sources.load(run).odometry_root, entry)
-    numbers = list(files)
-    if numbers != list(range(numbers[0], numbers[0] + len(numbers))):
-        gap = next(a for a, b in pairwise(numbers) if b != a + 1)
-        raise InputError(f"{files[gap].parent}: frame {gap + 1} is missing; a trajectory needs all frames")
+    for before, number in pairwise(files):
+        if number != before + 1:
+            raise InputError(f"{files[number].parent}: frame {before + 1} is missing; a trajectory needs all frames")
     return files
 
 
