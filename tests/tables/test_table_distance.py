@@ -87,35 +87,19 @@ def test_the_gain_is_judged_in_each_part_and_far_against_near(run):
     assert claims["in_words"].iloc[1] == "better by 0.38: the interval over images excludes 0, that over 2 seeds includes 0"
 
 
-@pytest.fixture
-def values():
-    """Abs Rel by variant, part and image: image 2 has no far pixels, image 3 none that are near."""
-    return {
+def test_gains_are_of_images_that_have_both_parts_and_relative_ones_in_units_of_all_that_have_the_part():
+    values = {  # Abs Rel by variant, part and image: image 2 has no far pixels, image 3 none that are near
         ("lr", NEAR): {0: 0.1, 1: 0.2, 2: 0.3},
         ("dual", NEAR): {0: 0.1, 1: 0.15, 2: 0.1},
         ("lr", FAR): {0: 0.5, 1: 0.4, 3: 0.9},
         ("dual", FAR): {0: 0.2, 1: 0.3, 3: 0.1},
     }
-
-
-def far_gain(values, relative=False):
     rows = {(variant, 0, image, part): error for (variant, part), errors in values.items() for image, error in errors.items()}
-    frame = pd.DataFrame({"abs_rel": pd.Series(rows)}).rename_axis(["variant", "seed", "image", "part"])
-    (row,) = gains(Scores(frame, {}, {}), ("dual", "lr"), (FAR, NEAR), relative=relative)
-    return row
-
-
-def test_gains_are_compared_in_images_that_have_both_parts(values):
-    row = far_gain(values)
-    # far: 0.3, 0.1; near: 0, 0.05
+    scores = Scores(pd.DataFrame({"abs_rel": rows}).rename_axis(["variant", "seed", "image", "part"]), {}, {})
+    (row,) = gains(scores, ("dual", "lr"), (FAR, NEAR))  # far: 0.3, 0.1; near: 0, 0.05
     assert [row["mean_a"], row["mean_b"], row["difference"]] == pytest.approx([0.2, 0.025, 0.175])
     assert [row["low"], row["high"]] == pytest.approx([0.05, 0.3])
     assert row["n"] == 2 and row["in_words"] == "better by 0.17: the interval over images excludes 0, one seed"
-    values["dual", FAR] = values["lr", FAR]
-    assert far_gain(values)["in_words"].startswith("worse by 0.025: ")
-
-
-def test_relative_gains_are_in_units_of_lr_nets_mean_error_in_the_part(values):
-    row = far_gain(values, relative=True)
+    (row,) = gains(scores, ("dual", "lr"), (FAR, NEAR), relative=True)
     # LR-Net's mean errors: 0.6 far, 0.2 near, over all images of the part
     assert [row["mean_a"], row["mean_b"]] == pytest.approx([0.2 / 0.6, 0.025 / 0.2])
