@@ -118,12 +118,6 @@ def table(name: str) -> pd.DataFrame:
 
     Depth errors are in metres where they have a unit, δ shares in [0, 1], `params_m` in millions, `gmacs` in 10⁹ multiply-accumulates,
     trajectory errors in metres; `frames` is the number of frames PoseNet takes.
-
-    Args:
-        name: one of `_TABLES`, such as `main`.
-
-    Raises:
-        KeyError: there is no such table.
     """
     columns, rows = _TABLES[name]
     return pd.DataFrame(list(rows), columns=list(columns)).assign(source="paper")
