@@ -8,7 +8,7 @@ import sys
 import tempfile
 import time
 import timeit
-from collections.abc import Sequence
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,6 @@ import pandas as pd
 import torch
 from torch import nn
 from torch.utils.data import default_collate
-from tqdm import tqdm
 
 from dualdepth.data.loading import TripletDataset
 from dualdepth.data.triplets import Triplet
@@ -93,57 +92,47 @@ def median_step(name: str, training: Training, batch: dict[str, Any], device: to
     return {**pd.DataFrame(rows[2:]).median(), "peak_mb": peak / 1e6}
 
 
-def bench(encoder: str, repeats: int) -> pd.DataFrame:
-    """All measurements: columns what, value, unit."""
-    device = default_device()
-    profile = load_profile("paper")
+def measurements(encoder: str, repeats: int) -> Iterator[tuple[str, float, str]]:
+    """All measurements, each as soon as it is made: what, value, unit."""
+    device, profile = default_device(), load_profile("paper")
     precisions: list[Precision] = ["bf16", "float32"] if has_bf16(device) else ["float32"]
     training = profile.training.model_copy(update={"encoder": encoder, "precision": precisions[0]})
-    rows: list[tuple[str, float, str]] = []
-    with tempfile.TemporaryDirectory() as folder, tqdm(total=5 + len(precisions), desc="measuring", unit="part") as bar:
+    with tempfile.TemporaryDirectory() as folder:
         dataset = TripletDataset([write_frames(Path(folder))], profile.data.hr_size, training.augmentation, 0)
         cv2.setNumThreads(1)
         load = statistics.median(timeit.repeat(lambda: dataset[0, 0], number=1, repeat=10 * repeats + 1)[1:])
         cv2.setNumThreads(-1)
-        rows.append(("loader, one core: JPEG 1242x375 to HR tensors 384x1248", 1 / load, "triplets/s"))
-        bar.update()
         batch = default_collate([dataset[epoch, 0] for epoch in range(training.lr.batch_size)])
-        batch = {k: v.to(device) if torch.is_tensor(v) else v for k, v in batch.items()}
-        steps = {p: median_step("lr", training.model_copy(update={"precision": p}), batch, device, repeats) for p in precisions}
-        bar.update(len(steps))
-        chosen = steps[precisions[0]]
-        rows.append((f"stage 1 step, {encoder} 128x416, batch 4, {precisions[0]}", chosen["step"], "s"))
-        rows += [(f"  of it {part}", chosen[part] / chosen["step"], "share") for part in ("networks", "losses", "backward", "optimiser")]
-        if "bf16" in steps:
-            rows.append(("  float32 step / bf16 step", steps["float32"]["step"] / chosen["step"], "ratio"))
-        rows.append(("  loading a batch on one core / step", load * training.lr.batch_size / chosen["step"], "ratio"))
-        rows += high_resolution_steps(training, batch, device, max(repeats // 2, 1))
-        bar.update(4)
-    rows += inference(device, repeats, precisions)
-    return pd.DataFrame(rows, columns=["what", "value", "unit"]).assign(device=device_name())
+    yield "loader, one core: JPEG 1242x375 to HR tensors 384x1248", 1 / load, "triplets/s"
 
+    batch = {k: v.to(device) if torch.is_tensor(v) else v for k, v in batch.items()}
+    steps = {p: median_step("lr", training.model_copy(update={"precision": p}), batch, device, repeats) for p in precisions}
+    step = steps[training.precision]
+    yield f"stage 1 step, {encoder} 128x416, batch 4, {training.precision}", step["step"], "s"
+    for part in ("networks", "losses", "backward", "optimiser"):
+        yield f"  of it {part}", step[part] / step["step"], "share"
+    if "bf16" in steps:
+        yield "  float32 step / bf16 step", steps["float32"]["step"] / step["step"], "ratio"
+    yield "  loading a batch on one core / step", load * training.lr.batch_size / step["step"], "ratio"
 
-def high_resolution_steps(training: Training, batch: dict[str, Any], device: torch.device, repeats: int) -> list[tuple[str, float, str]]:
-    """Stage 2's step against that of a ResNet18 network with the same decoder at the same resolution."""
-    rows, names = [], ("dual", "resnet18")
-    # a process for each, since its peak of memory is measured
+    # stage 2 against a ResNet18 network with the same decoder; a process for each, since its peak of memory is measured
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"), max_tasks_per_child=1) as pool:
-        steps = {name: pool.submit(median_step, name, training, batch, device, repeats).result() for name in names}
-    for name, step in steps.items():
-        rows.append((f"stage 2 step, {name} 384x1248, batch 4, {training.precision}", step["step"], "s"))
-        rows.append(("  peak memory", step["peak_mb"], "MB"))
-    return rows + [(f"  dual / resnet18, {part}", steps["dual"][part] / steps["resnet18"][part], "ratio") for part in ("step", "peak_mb")]
+        arguments = (training, batch, device, max(repeats // 2, 1))
+        large = {name: pool.submit(median_step, name, *arguments).result() for name in ("dual", "resnet18")}
+    for name, step in large.items():
+        yield f"stage 2 step, {name} 384x1248, batch 4, {training.precision}", step["step"], "s"
+        yield "  peak memory", step["peak_mb"], "MB"
+    for part in ("step", "peak_mb"):
+        yield f"  dual / resnet18, {part}", large["dual"][part] / large["resnet18"][part], "ratio"
 
-
-def inference(device: torch.device, repeats: int, precisions: Sequence[Precision]) -> list[tuple[str, float, str]]:
-    """One image by the dual network of the paper (LR-Net's decoder not run) and by ResNet18, both at 384x1248."""
-    rows, image = [], torch.rand(1, 3, 384, 1248, device=device)
+    # one image; LR-Net's decoder, which depth at high resolution does not need, is not run
+    image = torch.rand(1, 3, 384, 1248, device=device)
     nets = {name: make_net(name).to(device, memory_format=torch.channels_last) for name in ("dual", "resnet18")}
     for precision in precisions:
-        measured = {name: latency(net, image, repeats=repeats, precision=precision) for name, net in nets.items()}
-        rows += [(f"inference, {name} 384x1248, {precision}", m.median_ms, "ms") for name, m in measured.items()]
-        rows.append(("  dual / resnet18", measured["dual"].median_ms / measured["resnet18"].median_ms, "ratio"))
-    return rows
+        times = {name: latency(net, image, repeats=repeats, precision=precision).median_ms for name, net in nets.items()}
+        for name, time_ms in times.items():
+            yield f"inference, {name} 384x1248, {precision}", time_ms, "ms"
+        yield "  dual / resnet18", times["dual"] / times["resnet18"], "ratio"
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -153,9 +142,12 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--repeats", type=int, default=5, help="counted runs of each step (default: %(default)s)")
     parser.add_argument("--out", default="results/bench.csv", metavar="FILE", help="(default: %(default)s)")
     arguments = parser.parse_args(argv)
-    table = bench(arguments.encoder, arguments.repeats)
+    rows = []
+    for what, value, unit in measurements(arguments.encoder, arguments.repeats):
+        rows.append((what, value, unit))
+        print(f"{what}: {value:.3g} {unit}", flush=True)
+    table = pd.DataFrame(rows, columns=["what", "value", "unit"]).assign(device=device_name())
     write_text(arguments.out, table.to_csv(index=False, float_format="%.4g"))
-    print(table.to_string(index=False, float_format=lambda value: f"{value:.3g}"))
     print(f"written to {arguments.out}")
     return 0
 

@@ -4,7 +4,6 @@ import argparse
 import ast
 import base64
 import json
-import logging
 import os
 import re
 import shutil
@@ -22,8 +21,6 @@ from dualdepth.run import Run, check_roots, parse_seeds, project_root
 DRY = re.compile(r"--dry-?run|-[a-z]*n[a-z]*")
 """Snakemake's options for only saying what it would run, such as `-np`."""
 
-NOT_SHOWN = ("Executing", "Ending", "Input", "Output", "Working directory", "<", "\n")
-"""What papermill says of its own, and the text form of pictures and tables, which nobody reads in a terminal."""
 PICTURE_WIDTH = 900
 """Pixels that a picture in a published notebook has at most."""
 
@@ -101,10 +98,9 @@ def run_notebook(name: str, out: str | Path, parameters: dict[str, Any]) -> Path
     title = f"{name} ({', '.join(f'{k} {v}' for k, v in parameters.items() if v not in ('', None))})"
     print(f"▶ {title}", file=sys.stderr, flush=True)
     began = time.perf_counter()
-    _show_streams()
-    # of a progress bar, the copy keeps the last state alone; the kernel's own log says nothing about the notebook
-    log_level = ["--IPKernelApp.log_level=50"]
-    settings = {"progress_bar": False, "log_output": True, "coalesce_streams": True, "extra_arguments": log_level}
+    # what cells print is shown as it comes, progress bars included; the copy keeps the last state of a bar alone
+    settings = {"progress_bar": False, "stdout_file": sys.stderr, "stderr_file": sys.stderr, "coalesce_streams": True}
+    settings["extra_arguments"] = ["--IPKernelApp.log_level=50"]  # the kernel's own log says nothing about the notebook
     with atomic_path(out) as partial:
         try:
             papermill.execute_notebook(str(source), str(partial), parameters, cwd=str(root), **settings)
@@ -118,16 +114,6 @@ def run_notebook(name: str, out: str | Path, parameters: dict[str, Any]) -> Path
     failed.unlink(missing_ok=True)
     print(f"✓ {title}: {time.perf_counter() - began:.0f} s", file=sys.stderr, flush=True)
     return out
-
-
-def _show_streams() -> None:
-    """Show what a notebook's cells print, progress bars included, on stderr as it comes."""
-    handler = logging.StreamHandler(sys.stderr)
-    handler.terminator = ""
-    handler.addFilter(lambda record: not record.getMessage().startswith(NOT_SHOWN))
-    logger = logging.getLogger("papermill")
-    logger.handlers, logger.propagate = [handler], False
-    logger.setLevel(logging.INFO)
 
 
 def publish_results(profile: str) -> int:

@@ -73,7 +73,7 @@ _ODOMETRY = (
 )
 _ATE = ("snippet_ate_mean_09", "snippet_ate_std_09", "snippet_ate_mean_10", "snippet_ate_std_10")
 
-_TABLES = {
+_TABLES = {  # by name, as of the files in `results/<profile>/tables`
     "main": (("method", "dataset", "supervision", *DEPTH), _MAIN),
     "make3d": (("method", "supervision", "abs_rel", "sq_rel", "rmse"), _MAKE3D),
     "ablation": (("method", *DEPTH), _ABLATION),
@@ -83,8 +83,6 @@ _TABLES = {
     "backbone": (("backbone", "params_m", "gmacs", "abs_rel", "sq_rel", "rmse", "a1", "a2", "a3"), _BACKBONE),
     "odometry": (("method", *_ATE, "frames"), _ODOMETRY),
 }
-TABLES = tuple(_TABLES)
-"""Names of the tables, as of the files in `results/<profile>/tables`."""
 
 RECIPE = {
     "epochs": (40, 40),
@@ -120,12 +118,6 @@ def table(name: str) -> pd.DataFrame:
 
     Depth errors are in metres where they have a unit, δ shares in [0, 1], `params_m` in millions, `gmacs` in 10⁹ multiply-accumulates,
     trajectory errors in metres; `frames` is the number of frames PoseNet takes.
-
-    Args:
-        name: one of `TABLES`.
-
-    Raises:
-        KeyError: there is no such table.
     """
     columns, rows = _TABLES[name]
     return pd.DataFrame(list(rows), columns=list(columns)).assign(source="paper")

@@ -5,7 +5,7 @@ An unknown key is an error that names the nearest known one. The sections stand 
 
 import difflib
 import functools
-import json
+import operator
 import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -14,7 +14,6 @@ import yaml
 from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from dualdepth.errors import InputError, reading
-from dualdepth.files import short_digest
 from dualdepth.networks.architecture import Architecture, Design
 from dualdepth.settings import Data, Evaluation, Settings, Training, Variant, World
 
@@ -109,12 +108,10 @@ class Profile(Settings):
         values = self.model_dump()
         for dotted, value in changes.items():
             *sections, last = dotted.split(".")
-            place = values
-            for section in sections:
-                place = place.get(section) if isinstance(place, dict) else None
-            if not isinstance(place, dict):
-                raise InputError(f"variant {name}: unknown setting {dotted}")
-            place[last] = value
+            try:
+                functools.reduce(operator.getitem, sections, values)[last] = value
+            except (KeyError, TypeError):
+                raise InputError(f"variant {name}: unknown setting {dotted}") from None
         try:
             profile = type(self).model_validate(values | {"train": {"lr": None}})
         except ValidationError as error:
@@ -131,10 +128,6 @@ class Profile(Settings):
         """The named sections (dots go deeper) as plain values, for what to run again."""
         found = {section: functools.reduce(getattr, section.split("."), self) for section in sections}
         return {section: value.model_dump(mode="json") if isinstance(value, BaseModel) else value for section, value in found.items()}
-
-    def digest(self, *sections: str) -> str:
-        """Short content hash of them, for stamps."""
-        return short_digest(json.dumps(self.values(*sections), sort_keys=True))
 
 
 @functools.cache

@@ -30,7 +30,7 @@ FIGURE_OF = {"make3d": "make3d", "odometry_trajectories": "odometry", "odometry_
 class Report(NamedTuple):
     """What the page shows."""
 
-    about: str
+    run: Run
     headline: str
     """What was learned, in a sentence."""
     caution: str
@@ -48,8 +48,6 @@ class Report(NamedTuple):
     assumptions: list[tuple[str, str, str]]
     captions: dict[str, str]
     """Of the figures."""
-    drawing: str
-    """Of the networks, as SVG; empty where the checkout has no docs."""
 
 
 def assumptions(loss: Loss) -> list[tuple[str, str, str]]:
@@ -91,9 +89,8 @@ def make_report(run: Run) -> Report:
     more = {name: read[name] for name in ("odometry_trajectories", "odometry_motions", "odometry_claims") if name in read}
     chosen = assumptions(run.profile.training.loss)
     captions = CAPTIONS if run.profile.data.has_truth else CAPTIONS | _WORDS["without_truth"]
-    svg = path.read_text(encoding="utf-8") if (path := run.root / "docs/overview.svg").is_file() else ""
     said = headline(tables["main"])
-    return Report(run.profile.about, said, caution, claims, numbers, tables, more, _provenance(run, stamps), figures, chosen, captions, svg)
+    return Report(run, said, caution, claims, numbers, tables, more, _provenance(run, stamps), figures, chosen, captions)
 
 
 def headline(main: pd.DataFrame) -> str:
@@ -160,16 +157,17 @@ def digits_of(name: str) -> int:
     return 4 if name == "odometry" else 3
 
 
-def html(report: Report, name: str) -> str:
+def html(report: Report) -> str:
     """The page, with everything in it: no file, script or address of elsewhere."""
     environment = Environment(
         loader=FileSystemLoader(PACKAGE), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters |= {"cell": cell, "footnotes": footnotes}
+    drawing = report.run.root / "docs/overview.svg"
     pictures = {k: base64.b64encode(path.read_bytes()).decode() for k, path in report.figures.items()}
     return environment.get_template("report.html.j2").render(
-        name=name,
         report=report,
+        drawing=drawing.read_text(encoding="utf-8") if drawing.is_file() else "",
         claims=report.claims[["claim", "metric", "verdict", *(c for c in report.claims if c not in ("claim", "metric", "verdict"))]],
         tables={k: (title, readable(report.tables[k], digits_of(k))) for k, title in TITLES.items()},
         pictures=pictures,
@@ -190,7 +188,7 @@ def cell(value: Any) -> str:
 def write_report(run: Run, report: Report) -> Path:
     """Write `results/<profile>/report.html`, and the judged tables beside the others."""
     path = run.results / "report.html"
-    write_text(path, html(report, run.profile.name))
+    write_text(path, html(report))
     inputs = [run.results / "tables" / f"{name}.csv" for name in TITLES]
     run.save_table(report.claims, "report_claims", inputs)
     run.save_table(report.numbers, "report_numbers", inputs)

@@ -14,7 +14,7 @@ import platform
 import re
 import subprocess
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -22,7 +22,7 @@ from pydantic import TypeAdapter
 
 from dualdepth import __version__
 from dualdepth.errors import InputError, reading
-from dualdepth.files import atomic_path, file_digest, short_digest, write_json, write_text
+from dualdepth.files import atomic_path, file_digest, short_digest, write_json
 from dualdepth.profile import Profile, load_profile
 
 if TYPE_CHECKING:
@@ -155,16 +155,16 @@ class Run:
 
     def save_table(self, table: "pd.DataFrame", name: str, inputs: Iterable[Path], **facts: Any) -> Path:
         """Write `results/<profile>/tables/<name>.csv` and its stamp."""
-        path = self.results / "tables" / f"{name}.csv"
-        write_text(path, table.to_csv(index=False, float_format="%.6g"))
-        write_json(path.with_suffix(".json"), self.stamp(inputs) | facts)
-        return path
+        return self._save("tables", f"{name}.csv", lambda path: table.to_csv(path, index=False, float_format="%.6g"), inputs, facts)
 
     def save_figure(self, figure: "Figure", name: str, inputs: Iterable[Path], **facts: Any) -> Path:
         """Write `results/<profile>/figures/<name>.png` and its stamp."""
-        path = self.results / "figures" / f"{name}.png"
+        return self._save("figures", f"{name}.png", lambda path: figure.savefig(path, dpi=100), inputs, facts)
+
+    def _save(self, folder: str, name: str, write: Callable[[Path], object], inputs: Iterable[Path], facts: dict[str, Any]) -> Path:
+        path = self.results / folder / name
         with atomic_path(path) as partial:
-            figure.savefig(partial, dpi=100)
+            write(partial)
         write_json(path.with_suffix(".json"), self.stamp(inputs) | facts)
         return path
 
@@ -177,13 +177,12 @@ class Run:
             "device": device_name(),
             "made": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
             "version": __version__,
-            "revision": self._revision[0],
-            "dirty": self._revision[1],
+            **self._revision,
             "profile": self.profile.name,
             "profile_sha256": hashlib.sha256(self.profile.model_dump_json().encode()).hexdigest(),
             "lock_sha256": file_digest(self.root / "environment.lock"),
             "inputs_sha256": {str(p.relative_to(self.root) if p.is_relative_to(self.root) else p): file_digest(p) for p in inputs},
-            **({"allow_leak": True} if self.allow_leak else {}),
+            **({"allow_leak": True} if self.sources.exists() and Sources.load(self).allow_leak else {}),
             "python": platform.python_version(),
             "machine": f"{platform.system()} {platform.machine()}",
         }
@@ -200,18 +199,13 @@ class Run:
         return [(f"{kind} {name}", value) for kind, values in named.items() for name, value in _leaves(values)]
 
     @functools.cached_property
-    def _revision(self) -> tuple[str, bool]:
+    def _revision(self) -> dict[str, Any]:
         """Revision of the code that this run loaded, and whether it was changed since."""
 
         def git(*words: str) -> str:
             return subprocess.run(["git", "-C", str(self.root), *words], capture_output=True, text=True, check=False).stdout.strip()
 
-        return git("rev-parse", "HEAD") or "unknown", bool(git("status", "--porcelain"))
-
-    @property
-    def allow_leak(self) -> bool:
-        """Whether this run may score what was trained on; its results then say so."""
-        return self.sources.exists() and Sources.load(self).allow_leak
+        return {"revision": git("rev-parse", "HEAD") or "unknown", "dirty": bool(git("status", "--porcelain"))}
 
 
 class Sources(NamedTuple):
@@ -231,7 +225,7 @@ class Sources(NamedTuple):
     labels_root: Path | None = None
     """Holds `<drive>/<frame>.png`, Cityscapes training ids of the scored frames; None: no labels here."""
     allow_leak: bool = False
-    """Score even what was trained on, and say so."""
+    """Score even what was trained on; the results then say so."""
 
     def save(self, run: "Run") -> None:
         """Write `work/<profile>/sources.json`."""

@@ -1,5 +1,7 @@
 """Profiles: what they say of the paper, and what is said of a bad one."""
 
+import re
+
 import pytest
 
 from dualdepth.errors import InputError
@@ -37,19 +39,14 @@ def test_the_paper_profile_is_the_papers_recipe():
     profile = load_profile("paper")
     training = profile.training
     for stage, epochs in zip((training.lr, training.hr), RECIPE["epochs"]):
-        assert stage.epochs == epochs == 40
-        assert stage.batch_size == RECIPE["batch_size"] == 4
-        assert (stage.beta1, stage.beta2) == (RECIPE["beta1"], RECIPE["beta2"]) == (0.9, 0.999)
-        assert tuple(stage.learning_rates) == RECIPE["learning_rates"] == ((10, 2e-4), (20, 1e-4), (40, 5e-5))
-        assert stage.max_steps is None
-    assert profile.data.hr_size == RECIPE["hr_size"] == (384, 1248)
-    assert profile.data.lr_size == RECIPE["lr_size"] == (128, 416)
-    assert training.loss.alpha == RECIPE["alpha"] == 0.85
-    assert training.loss.scales == len(RECIPE["scales"]) == 4
-    assert training.encoder == "resnet50"
-    assert training.pretrained is True
-    assert training.augmentation.augment_first
-    assert training.loss.feature > 0
+        assert (stage.epochs, stage.max_steps) == (epochs, None) and epochs == 40
+        values = (stage.batch_size, stage.beta1, stage.beta2, tuple(stage.learning_rates))
+        assert values == tuple(RECIPE[name] for name in ("batch_size", "beta1", "beta2", "learning_rates"))
+        assert values == (4, 0.9, 0.999, ((10, 2e-4), (20, 1e-4), (40, 5e-5)))
+    assert (profile.data.hr_size, profile.data.lr_size) == (RECIPE["hr_size"], RECIPE["lr_size"]) == ((384, 1248), (128, 416))
+    assert (training.loss.alpha, training.loss.scales) == (RECIPE["alpha"], len(RECIPE["scales"])) == (0.85, 4)
+    assert (training.encoder, training.pretrained) == ("resnet50", True)
+    assert training.augmentation.augment_first and training.loss.feature > 0
     assert (profile.data.train_list, profile.data.test_list) == ("eigen_zhou", "eigen_test")
 
 
@@ -60,25 +57,13 @@ def test_an_unknown_profile_names_those_there_are_and_a_file_that_is_not_there_i
         load_profile(str(tmp_path / "gone.yaml"))
 
 
-def test_the_digest_changes_with_its_own_sections_only(written):
-    plain, other = load_profile(written(GOOD)), load_profile(written(GOOD + "training:\n  lr:\n    epochs: 3\n", "other"))
-    assert plain.digest("training.loss", "data.hr_size") == other.digest("training.loss", "data.hr_size")
-    assert plain.digest("training.lr") != other.digest("training.lr")
-
-
 def test_paper_trains_every_standard_variant_and_has_nothing_beyond_the_paper():
     profile = load_profile("paper")
     assert set(profile.train) == set(standard_variants())
     dual = profile.variant("dual")
     assert (dual.network, dual.link, dual.similarity, dual.normalise, dual.starts_from) == ("dual", "attention", "dot", "none", "lr")
     assert profile.variant("dual_no_sa").link == "direct"
-    assert "beyond_paper" in str(profile.training.model_dump())
-    assert not any(value for name, value in leaves(profile.training.model_dump()) if name.startswith("beyond_paper"))
-
-
-def leaves(values):
-    for name, value in values.items():
-        yield from leaves(value) if isinstance(value, dict) else [(name, value)]
+    assert set(re.findall(r"'beyond_paper_\w+': (\w+)", str(profile.training.model_dump()))) == {"False", "0"}
 
 
 @pytest.mark.parametrize("name", standard_variants())

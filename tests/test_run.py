@@ -25,12 +25,6 @@ def test_the_root_is_found_from_below_and_asked_for_elsewhere(project, tmp_path_
         project_root()
 
 
-def test_a_missing_prerequisite_names_the_notebook_that_makes_it(project):
-    run = Run("tiny")
-    with pytest.raises(InputError, match=r"work/tiny/sources\.json is missing: run notebook 01_download_data"):
-        run.require(run.sources, "01_download_data")
-
-
 def test_a_table_is_written_with_a_stamp_that_says_what_made_it(project):
     run = Run("tiny")
     given = project / "input.csv"

@@ -5,67 +5,62 @@ mixed and a frame's own drive can be left out by subtraction.
 """
 
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from dualdepth.errors import InputError
 
-BASELINES = ("constant", "row_mean", "mean_map")
 GRID = (47, 156)
 """Cells of about 8 × 8 KITTI pixels: sparse scans of few frames fill them; from 4 to 32 pixels the scores hardly change."""
 
 
-class DepthSums(NamedTuple):
-    """Sums and counts of the valid depths in each cell of a grid over the image."""
-
-    total: np.ndarray  # (h, w) float64, metres
-    count: np.ndarray  # (h, w) int64, valid pixels
-
-
-def depth_sums(maps: Iterable[np.ndarray], *, grid: tuple[int, int], max_depth: float) -> DepthSums:
+def depth_sums(maps: Iterable[np.ndarray], *, grid: tuple[int, int] = GRID, max_depth: float) -> np.ndarray:
     """Gather sparse depth maps (H, W) in metres, 0 where there is no measurement, of any sizes, on a grid of (h, w) cells over the image.
 
     Only depths strictly between 0 and `max_depth` count, as in the evaluation.
+
+    Returns:
+        (2, h, w) float64: the sum of the valid depths in each cell, in metres, and their number.
     """
-    total, count = np.zeros(grid), np.zeros(grid, np.int64)
+    sums = np.zeros((2, *grid))
     for depth in maps:
         rows, columns = np.nonzero((depth > 0) & (depth < max_depth))
         cell = rows * grid[0] // depth.shape[0] * grid[1] + columns * grid[1] // depth.shape[1]
-        total += np.bincount(cell, depth[rows, columns].astype(np.float64), minlength=total.size).reshape(grid)
-        count += np.bincount(cell, minlength=count.size).reshape(grid)
-    return DepthSums(total, count)
+        for values, weights in zip(sums, (depth[rows, columns].astype(np.float64), None)):
+            values += np.bincount(cell, weights, minlength=values.size).reshape(grid)
+    return sums
 
 
-def mean_depth(sums: DepthSums, baseline: str) -> np.ndarray:
+def mean_depth(sums: np.ndarray, baseline: str) -> np.ndarray:
     """A baseline's depth on the grid: (1, 1), (h, 1) or (h, w) float32, metres, all positive.
 
     It is the mean over everything; over each row of the grid, a row without a measurement taking the nearest row that has one; or over
-    each cell, a cell without one taking its row's mean (`BASELINES`).
+    each cell, a cell without one taking its row's mean (`constant`, `row_mean`, `mean_map`).
 
     Raises:
         InputError: there is no valid depth.
     """
-    if not sums.count.any():
+    total, count = sums
+    if not count.any():
         raise InputError("the training ground truth has no valid depth, so no baseline can be fitted; give frames with laser scans")
     if baseline == "constant":
-        return np.full((1, 1), sums.total.sum() / sums.count.sum(), np.float32)
-    measured = np.flatnonzero(sums.count.sum(axis=1))
-    nearest = measured[np.abs(np.arange(len(sums.count))[:, None] - measured).argmin(axis=1)]
-    row_mean = (sums.total.sum(axis=1)[nearest] / sums.count.sum(axis=1)[nearest])[:, None]
+        return np.full((1, 1), total.sum() / count.sum(), np.float32)
+    measured = np.flatnonzero(count.sum(axis=1))
+    nearest = measured[np.abs(np.arange(len(count))[:, None] - measured).argmin(axis=1)]
+    row_mean = (total.sum(axis=1)[nearest] / count.sum(axis=1)[nearest])[:, None]
     if baseline == "row_mean":
         return row_mean.astype(np.float32)
-    return np.where(sums.count > 0, sums.total / np.maximum(sums.count, 1), row_mean).astype(np.float32)
+    return np.where(count > 0, total / np.maximum(count, 1), row_mean).astype(np.float32)
 
 
-def predict(sums: DepthSums, baseline: str, size: tuple[int, int]) -> np.ndarray:
+def predict(sums: np.ndarray, baseline: str, size: tuple[int, int]) -> np.ndarray:
     """A baseline's prediction (H, W) for any image of `size` = (H, W), in metres, float32: the grid's means, enlarged bilinearly."""
     return cv2.resize(mean_depth(sums, baseline), size[::-1], interpolation=cv2.INTER_LINEAR)
 
 
 def leave_one_drive_out(
-    maps: Sequence[np.ndarray], drives: Sequence[str], baseline: str, *, grid: tuple[int, int], max_depth: float
+    maps: Sequence[np.ndarray], drives: Sequence[str], baseline: str, *, grid: tuple[int, int] = GRID, max_depth: float
 ) -> list[np.ndarray]:
     """Predict each map from the maps of all the other drives, where there are no separate training frames.
 
@@ -76,8 +71,7 @@ def leave_one_drive_out(
         drive: depth_sums((depth for depth, its in zip(maps, drives) if its == drive), grid=grid, max_depth=max_depth)
         for drive in dict.fromkeys(drives)
     }
-    total, count = (sum(arrays) for arrays in zip(*of_drive.values()))
-    others = {drive: DepthSums(total - sums.total, count - sums.count) for drive, sums in of_drive.items()}
+    others = {drive: sum(of_drive.values()) - sums for drive, sums in of_drive.items()}
     wanted = [(drive, depth.shape) for drive, depth in zip(drives, maps)]
     predictions = {(drive, size): predict(others[drive], baseline, size) for drive, size in set(wanted)}
     return [predictions[key] for key in wanted]

@@ -1,10 +1,9 @@
 """What a network costs: parameters, multiply-accumulates, time and memory of inference (paper, table "Overhead Comparison")."""
 
 import copy
-import functools
 import itertools
 import statistics
-import time
+import timeit
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -49,20 +48,16 @@ def latency(model: torch.nn.Module, *inputs: torch.Tensor, repeats: int = 10, pr
         precision: `bf16` runs under autocast, with the weights in float32.
     """
     device = inputs[0].device
-    run = functools.partial(model.eval(), *inputs, **options)
 
-    def now() -> float:
+    def run() -> None:
+        model(*inputs, **options)
         if device.type == "cuda":
             torch.cuda.synchronize(device)
-        return time.perf_counter()
 
-    times = []
+    model.eval()
     with torch.inference_mode(), torch.autocast(device.type, torch.bfloat16, enabled=precision == "bf16"):
         extra = _cuda_peak(run, device) if device.type == "cuda" else _cpu_peak(run)
-        for _ in range(repeats):
-            start = now()
-            run()
-            times.append(now() - start)
+        times = timeit.repeat(run, number=1, repeat=repeats)
     held = sum(value.numel() * value.element_size() for value in (*model.parameters(), *model.buffers(), *inputs))
     return Latency(statistics.median(times) * 1e3, (held + extra) / 1e6)
 
@@ -72,7 +67,6 @@ def _cuda_peak(run: Callable[[], object], device: torch.device) -> int:
     before = torch.cuda.memory_allocated(device)
     torch.cuda.reset_peak_memory_stats(device)
     run()
-    torch.cuda.synchronize(device)
     return torch.cuda.max_memory_allocated(device) - before
 
 

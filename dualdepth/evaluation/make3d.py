@@ -11,7 +11,6 @@ Sizes change to the nearest pixel as OpenCV has it, which is the one at the cell
 """
 
 from collections.abc import Sequence
-from typing import Literal, get_args
 
 import cv2
 import numpy as np
@@ -21,8 +20,7 @@ from dualdepth.data.make3d import GRID_SHAPE
 from dualdepth.errors import InputError
 from dualdepth.evaluation.depth import errors, evaluate
 
-Convention = Literal["band", "whole"]
-CONVENTIONS: tuple[Convention, ...] = get_args(Convention)
+CONVENTIONS = ("band", "whole")
 METRICS = ("abs_rel", "sq_rel", "rmse", "log10_rms", "log10")
 """`log10_rms` is the root mean square of log10 differences, which papers on self-supervision call log10; `log10` is C1's mean absolute."""
 ROWS = slice(17, 38)
@@ -33,7 +31,7 @@ NEAREST = float(np.finfo(np.float64).tiny)
 """C1 has no bound below: the ground truth must be above 0."""
 
 
-def visible(photo: np.ndarray, convention: Convention) -> np.ndarray:
+def visible(photo: np.ndarray, convention: str) -> np.ndarray:
     """What the network is shown of a photo (H, W, 3): all of it, or its central band (W // 2, W, 3).
 
     Raises:
@@ -48,7 +46,7 @@ def visible(photo: np.ndarray, convention: Convention) -> np.ndarray:
     return photo[top : top + width // 2]
 
 
-def on_grid(prediction: np.ndarray, convention: Convention) -> np.ndarray:
+def on_grid(prediction: np.ndarray, convention: str) -> np.ndarray:
     """Prediction (h, w) of what is `visible`, at the scored cells of the laser grid, (21, 305)."""
     rows = GRID_SHAPE[0] if convention == "whole" else ROWS.stop - ROWS.start
     cells = cv2.resize(prediction, (GRID_SHAPE[1], rows), interpolation=cv2.INTER_NEAREST)
@@ -64,7 +62,7 @@ def c1_errors(ground_truth: np.ndarray, prediction: np.ndarray) -> dict[str, flo
 
 
 def evaluate_make3d(
-    predictions: Sequence[np.ndarray], grids: Sequence[np.ndarray], convention: Convention, *, median_scaling: bool = True
+    predictions: Sequence[np.ndarray], grids: Sequence[np.ndarray], convention: str, *, median_scaling: bool = True
 ) -> pd.DataFrame:
     """Score depth predictions against laser grids, photo by photo.
 

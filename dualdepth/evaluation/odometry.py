@@ -115,7 +115,8 @@ def segment_errors(truth: Trajectory, prediction: Trajectory) -> pd.DataFrame:
     starts, lengths, ends = starts[both], lengths[both], ends[both]
     error = _between(_between(prediction.poses[at[starts]], prediction.poses[at[ends]]), _between(truth.poses[starts], truth.poses[ends]))
     columns = {"first": truth.frames[starts], "last": truth.frames[ends], "length": lengths}
-    return pd.DataFrame(columns | {"t_err": 100 * _distance(error) / lengths, "r_err": 100 * _angle(error) / lengths})
+    shift = np.linalg.norm(error[:, :3, 3], axis=1)
+    return pd.DataFrame(columns | {"t_err": 100 * shift / lengths, "r_err": 100 * _angle(error) / lengths})
 
 
 def trajectory_errors(truth: Trajectory, prediction: Trajectory, align: str = "7dof") -> dict[str, Any]:
@@ -139,7 +140,7 @@ def trajectory_errors(truth: Trajectory, prediction: Trajectory, align: str = "7
         "t_err": float(segments["t_err"].mean()),
         "r_err": float(segments["r_err"].mean()),
         "ate": float(np.sqrt(((poses - true_poses)[:, :3, 3] ** 2).sum(1).mean())),
-        "rpe_t": float(_distance(error).mean()) if len(error) else float("nan"),
+        "rpe_t": float(np.linalg.norm(error[:, :3, 3], axis=1).mean()) if len(error) else float("nan"),
         "rpe_r": float(_angle(error).mean()) if len(error) else float("nan"),
         "segments": len(segments),
     }
@@ -153,10 +154,6 @@ def yaw_and_step(poses: np.ndarray) -> np.ndarray:
 
 def _between(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return np.linalg.inv(first) @ second
-
-
-def _distance(error: np.ndarray) -> np.ndarray:
-    return np.linalg.norm(error[:, :3, 3], axis=1)
 
 
 def _angle(error: np.ndarray) -> np.ndarray:
@@ -174,11 +171,6 @@ def constant_velocity(frames: int, step: np.ndarray) -> np.ndarray:
     poses = np.tile(np.eye(4), (frames, 1, 1))
     poses[:, :3, 3] = np.arange(frames)[:, None] * step
     return poses
-
-
-def straight_ahead(frames: int) -> np.ndarray:
-    """Control: `constant_velocity` of a metre a frame along the optical axis."""
-    return constant_velocity(frames, np.array([0.0, 0.0, 1.0]))
 
 
 def inverted(truth: np.ndarray) -> np.ndarray:

@@ -74,11 +74,9 @@ def backbone_table(run: Run, scores: Scores, repeats: int = 3) -> pd.DataFrame:
         row = method_row(scores, variant, note=scored(run).note)
         note = "; ".join([cost, *([f"metrics of variant {variant}: {row['note']}"] if "note" in row else [])])
         rows.append({"backbone": name, **cost_row(name, repeats), **row, "source": MEASURED, "note": note})
-    dual = method_row(scores, "dual", note=scored(run).note)
-    if run.profile.training.pretrained:
-        begun, new = dual, method_row(scores, "dual_scratch", note=scored(run).note)
-    else:
-        begun, new = {"variant": "dual", **not_run(NO_WEIGHTS)}, dual
+    pretrained, note = run.profile.training.pretrained, scored(run).note
+    begun = method_row(scores, "dual", note=note) if pretrained else {"variant": "dual", **not_run(NO_WEIGHTS)}
+    new = method_row(scores, "dual_scratch" if pretrained else "dual", note=note)
     return with_paper("backbone", [*rows, {"backbone": "w/ pt", **begun}, {"backbone": "w/o pt", **new}])
 
 

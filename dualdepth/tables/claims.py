@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from dualdepth.evaluation.statistics import t_interval
+from dualdepth.evaluation.statistics import Comparison, t_interval
 from dualdepth.paper import DEPTH
 
 REPRODUCED, WITHIN_NOISE, NOT_REPRODUCED, NOT_RUN = "reproduced", "within noise", "not reproduced", "not run"
@@ -32,43 +32,34 @@ class Verdict(NamedTuple):
     why: str = ""
 
 
-def judge_number(paper: float, ours: float, *, spread: float, seeds: int, digit: float, lower_is_better: bool | None) -> Verdict:
+def judge_number(metric: str, paper: float, ours: float, *, spread: float, seeds: int) -> Verdict:
     """Whether a number of the paper is reproduced (`RULES`).
 
     Args:
+        metric: which it is, such as `abs_rel`.
         paper, ours: the paper's, and our mean over seeds.
         spread, seeds: our standard deviation over seeds, NaN for one, and how many there are.
-        digit: the last digit that the paper prints, such as 0.001.
-        lower_is_better: None where neither is, as for a parameter count.
     """
     if np.isnan(ours):
         return Verdict(NOT_RUN)
     difference = ours - paper
-    if abs(difference) <= max(TOLERANCE * abs(paper), digit / 2) * (1 + 1e-9):
+    if abs(difference) <= max(TOLERANCE * abs(paper), COUNTS.get(metric, 0.001) / 2) * (1 + 1e-9):
         return Verdict(REPRODUCED)
-    if lower_is_better is not None and (difference < 0) == lower_is_better:
+    if metric not in COUNTS and (difference > 0) == (metric in HIGHER_IS_BETTER):
         return Verdict(REPRODUCED, "better than the paper's")
     if seeds > 1 and abs(difference) <= t_interval(spread, seeds):
         return Verdict(WITHIN_NOISE)
     return Verdict(NOT_REPRODUCED)
 
 
-def judge_claim(difference: float, low: float, high: float, *, spread: float, seeds: int, lower_is_better: bool) -> Verdict:
-    """Whether a claim of the paper holds (`RULES`).
-
-    Args:
-        difference: mean of the method that is claimed to be better minus the other.
-        low, high: ends of its 95 % interval over images.
-        spread, seeds: its standard deviation over seeds, NaN for one, and how many there are.
-        lower_is_better: of the metric.
-    """
-    if np.isnan(difference):
+def judge_claim(comparison: Comparison, *, lower_is_better: bool) -> Verdict:
+    """Whether a claim of the paper holds (`RULES`), by the comparison of the method that is claimed to be better with the other."""
+    if np.isnan(comparison.difference):
         return Verdict(NOT_RUN)
-    certain = (low > 0 or high < 0) and (seeds < 2 or abs(difference) > t_interval(spread, seeds))
-    one = "" if seeds > 1 else "one seed"
-    if not certain:
+    one = "" if comparison.seeds > 1 else "one seed"
+    if not comparison.clear_of_images or comparison.clear_of_seeds is False:
         return Verdict(WITHIN_NOISE, one)
-    return Verdict(REPRODUCED if (difference < 0) == lower_is_better else NOT_REPRODUCED, one)
+    return Verdict(REPRODUCED if (comparison.difference < 0) == lower_is_better else NOT_REPRODUCED, one)
 
 
 class Claim(NamedTuple):
@@ -156,14 +147,12 @@ def _judge(tables: dict[str, pd.DataFrame], claim: Claim, metric: str) -> tuple[
     row = rows.iloc[0]
     if pd.isna(row["difference"]):
         return {}, Verdict(NOT_RUN, row["reason"])
-    found = {name: float(row[name]) for name in ("mean_a", "mean_b", "difference", "low", "high", "spread")}
-    seeds = int(row["seeds"])
-    values = [found[name] for name in ("difference", "low", "high")]
-    verdict = judge_claim(*values, spread=found["spread"], seeds=seeds, lower_is_better=row["better"] == "lower")
-    bar = max(claim.least, claim.times * found["mean_b"]) if claim.least or claim.times > 1 else -np.inf
-    if verdict.word == REPRODUCED and found["mean_a"] < bar:
-        verdict = Verdict(NOT_REPRODUCED, f"better, but {found['mean_a']:.3f} is below the {bar:.3f} that counts as seeing them")
-    return found | {"seeds": seeds, "n": row["n"]}, verdict
+    found = Comparison(*(float(row[name]) for name in Comparison._fields[:-1]), int(row["seeds"]))
+    verdict = judge_claim(found, lower_is_better=row["better"] == "lower")
+    bar = max(claim.least, claim.times * found.mean_b) if claim.least or claim.times > 1 else -np.inf
+    if verdict.word == REPRODUCED and found.mean_a < bar:
+        verdict = Verdict(NOT_REPRODUCED, f"better, but {found.mean_a:.3f} is below the {bar:.3f} that counts as seeing them")
+    return found._asdict() | {"n": row["n"]}, verdict
 
 
 class PaperRow(NamedTuple):
@@ -207,11 +196,9 @@ PAIRS = (
 )
 """All rows of the paper that are its own, and ours."""
 HIGHER_IS_BETTER = ("a1", "a2", "a3")
-DIGITS = {"params_m": 0.01, "gmacs": 0.01}
-"""The last digit that the paper prints, where it is not 0.001."""
 CLOSEST = "not judged: of all readings of the paper's equation the one that comes closest to its ratio"
-COUNTS = ("params_m", "gmacs")
-"""Numbers that are neither better nor worse."""
+COUNTS = {"params_m": 0.01, "gmacs": 0.01}
+"""Numbers that are neither better nor worse, and the last digit of them that the paper prints; of all others it is 0.001."""
 
 
 def compare_numbers(tables: dict[str, pd.DataFrame], judged: bool) -> pd.DataFrame:
@@ -253,7 +240,5 @@ def _number(published: pd.Series, ours: pd.Series | None, metric: str, judged: b
         return numbers | {"note": CLOSEST}
     if not judged:
         return numbers
-    lower = None if metric in COUNTS else metric not in HIGHER_IS_BETTER
-    settings = {"spread": spread, "seeds": seeds, "digit": DIGITS.get(metric, 0.001), "lower_is_better": lower}
-    verdict = judge_number(paper, value, **settings)
+    verdict = judge_number(metric, paper, value, spread=spread, seeds=seeds)
     return numbers | {"verdict": verdict.word, "note": verdict.why}

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from dualdepth.evaluation.distance import PARTS, near_and_far
+from dualdepth.evaluation.parts import PARTS, near_and_far
 from dualdepth.run import Run
 from dualdepth.tables.rows import comparisons, gains, method_row, paired, with_paper
 from dualdepth.tables.scores import Scores, collect, scored

@@ -4,8 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dualdepth.evaluation.distance import FAR
-from dualdepth.evaluation.regions import POLE
+from dualdepth.evaluation.parts import FAR, POLE
 from dualdepth.tables.plots import CloseUp
 
 

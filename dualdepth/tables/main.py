@@ -41,13 +41,14 @@ def baseline_depths(run: Run, name: str) -> tuple[Sequence[np.ndarray] | None, s
     It is fitted on training-side laser frames; where the only laser frames are the scored ones, each drive is predicted from the others.
     """
     frames, fitted = scored(run), run.prepared / "baseline_truth.npz"
-    settings = {"grid": baselines.GRID, "max_depth": run.profile.evaluation.max_depth}
+    farthest = run.profile.evaluation.max_depth
     if fitted.exists():
-        sums = baselines.depth_sums(load_ground_truth(fitted), **settings)
+        sums = baselines.depth_sums(load_ground_truth(fitted), max_depth=farthest)
         return [baselines.predict(sums, name, depth.shape) for depth in frames.truth], "fitted on training-side laser frames"
     if len(frames.drives) < 2:
         return None, "no training-side laser frames, and the scored frames are of one drive"
-    predictions = baselines.leave_one_drive_out(list(frames.truth), [frame.drive for frame in frames.frames], name, **settings)
+    drives = [frame.drive for frame in frames.frames]
+    predictions = baselines.leave_one_drive_out(list(frames.truth), drives, name, max_depth=farthest)
     return predictions, "fitted on the scored frames of all other drives"
 
 

@@ -2,7 +2,6 @@
 
 import hashlib
 from collections.abc import Callable, Sequence
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,14 +13,14 @@ from dualdepth.data.depth_maps import load_ground_truth
 from dualdepth.data.frames import resample
 from dualdepth.data.make3d import MAKE3D_PHOTOS, PhotoGrid, find_pairs, is_truncated, read_grid, read_photo
 from dualdepth.errors import InputError
-from dualdepth.evaluation.baselines import GRID, depth_sums, mean_depth
+from dualdepth.evaluation.baselines import depth_sums, mean_depth
 from dualdepth.evaluation.depth import resize_bilinear
-from dualdepth.evaluation.make3d import CONVENTIONS, FARTHEST, METRICS, ROWS, Convention, evaluate_make3d, visible
-from dualdepth.files import file_digest, write_text
+from dualdepth.evaluation.make3d import CONVENTIONS, FARTHEST, METRICS, ROWS, evaluate_make3d, visible
+from dualdepth.files import file_digest
 from dualdepth.model import DepthModel
 from dualdepth.run import Run, Sources
 from dualdepth.tables.rows import comparisons, method_row, paired, with_paper
-from dualdepth.tables.scores import SEEDLESS, Scores, Trained, collect, untrained_net
+from dualdepth.tables.scores import SEEDLESS, Scores, Trained, collect, opened, untrained_net
 
 VARIANTS = ("lr", "dual_no_sa", "dual")
 NO_PHOTOS = "no MAKE3D_ROOT; get it with python data_scripts/download_make3d.py --root DIR"
@@ -51,12 +50,10 @@ def load_photos(run: Run) -> Photos | None:
     if root is None:
         return None
     pairs = tuple(find_pairs(root))
-    stats = [path.stat() for pair in pairs for path in (pair.photo, pair.grid)]
-    return _read(pairs, tuple((s.st_size, s.st_mtime_ns) for s in stats))
+    return opened(_read, (pairs,), *(path for pair in pairs for path in (pair.photo, pair.grid)))
 
 
-@lru_cache(maxsize=2)
-def _read(pairs: tuple[PhotoGrid, ...], changed: tuple[tuple[int, int], ...]) -> Photos:
+def _read(pairs: tuple[PhotoGrid, ...]) -> Photos:
     grids = np.stack([read_grid(pair.grid) for pair in pairs])
     truncated = tuple(pair.photo.name for pair in pairs if is_truncated(pair.photo))
     if len(truncated) > 1:
@@ -68,7 +65,7 @@ def _read(pairs: tuple[PhotoGrid, ...], changed: tuple[tuple[int, int], ...]) ->
     return Photos(pairs, grids, truncated, hashlib.sha256(str(digests).encode()).hexdigest())
 
 
-def predict_photos(model: DepthModel, pairs: Sequence[PhotoGrid], convention: Convention) -> np.ndarray:
+def predict_photos(model: DepthModel, pairs: Sequence[PhotoGrid], convention: str) -> np.ndarray:
     """Depth (N, h, w) of what the network is shown of each photo, at its own size, of unknown scale."""
 
     def read(path: str | Path) -> np.ndarray:
@@ -77,14 +74,13 @@ def predict_photos(model: DepthModel, pairs: Sequence[PhotoGrid], convention: Co
     return 1.0 / model.disparities([pair.photo for pair in pairs], read=read)
 
 
-def score_photos(training: Trained, photos: Photos, convention: Convention) -> pd.DataFrame:
+def score_photos(training: Trained, photos: Photos, convention: str) -> pd.DataFrame:
     """Metrics of each photo by a training's last weights, kept beside them as `make3d_<convention>.csv` and reused while they fit."""
 
-    def score(path: Path) -> None:
-        depths = predict_photos(training.model, photos.pairs, convention)
-        write_text(path, evaluate_make3d(depths, photos.grids, convention).to_csv())
+    def score() -> pd.DataFrame:
+        return evaluate_make3d(predict_photos(training.model, photos.pairs, convention), photos.grids, convention)
 
-    return pd.read_csv(training.kept(f"make3d_{convention}.csv", {"photos": photos.digest}, score), index_col="image")
+    return training.kept(f"make3d_{convention}.csv", {"photos": photos.digest}, score)
 
 
 def make3d_scores(run: Run, seeds: Sequence[int]) -> Scores:
@@ -99,7 +95,7 @@ def make3d_scores(run: Run, seeds: Sequence[int]) -> Scores:
             scores = scores.plus(name, None, NO_PHOTOS)
         return scores
 
-    def by_convention(score: Callable[[Convention], pd.DataFrame]) -> pd.DataFrame:
+    def by_convention(score: Callable[[str], pd.DataFrame]) -> pd.DataFrame:
         return pd.concat({c: score(c) for c in CONVENTIONS}, names=["part"]).swaplevel()
 
     def untrained(seed: int) -> pd.DataFrame:
@@ -124,7 +120,7 @@ def training_mean(run: Run) -> float | None:
     fitted = run.prepared / "baseline_truth.npz"
     if not fitted.exists():
         return None
-    return mean_depth(depth_sums(load_ground_truth(fitted), grid=GRID, max_depth=run.profile.evaluation.max_depth), "constant").item()
+    return mean_depth(depth_sums(load_ground_truth(fitted), max_depth=run.profile.evaluation.max_depth), "constant").item()
 
 
 def make3d_table(run: Run, scores: Scores) -> pd.DataFrame:

@@ -1,15 +1,15 @@
 """The odometry table: errors of short snippets as the paper has them, of whole trajectories, and of three controls."""
 
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from dualdepth.data.odometry import poses_path, read_trajectory, sequence_of
+from dualdepth.data.odometry import drives_of, poses_path, sequence_of
 from dualdepth.evaluation.odometry import ALIGNMENTS, aligned, relative, yaw_and_step
-from dualdepth.evaluation.statistics import mean_std
 from dualdepth.run import Run, Sources
 from dualdepth.tables.rows import MEASURED, comparisons, method_row, not_run, over_seeds, paired, seed_label, with_paper
 from dualdepth.tables.scores import SEEDLESS, Scores, Trained, collect
@@ -22,8 +22,6 @@ from dualdepth.tables.trajectories import (
     follow_control,
     known_sequences,
     predicted_motions,
-    scored_drives,
-    trajectory_file,
     true_trajectory,
 )
 
@@ -35,21 +33,20 @@ BLOCK = 50
 
 def odometry_scores(run: Run, seeds: Sequence[int]) -> Scores:
     """Scores of both stages' PoseNets along the test sequences, and of the controls; parts as of `follow`."""
-    entries, reason = tuple(sequences(run)), ""
+    entries, reason = sequences(run), ""
     if Sources.load(run).odometry_root is None:
         reason = NO_SEQUENCES
     elif not entries:
         reason = f"profile {run.profile.name} scores no sequence"
-    drives = scored_drives(run, entries)
-    scores = collect(run, run.profile.pose_variants, seeds, lambda t: follow(t, entries), reason=reason, drives=drives)
-    if reason:
-        for name in CONTROLS:
-            scores = scores.plus(name, None, reason)
-        return scores
-    known = f"the mean step of sequences {' '.join(known_sequences(run))}, never turning"
+    drives = drives_of(entries, world=run.profile.world is not None)
+    scores = collect(
+        run, run.profile.pose_variants, seeds, lambda t: pd.concat([follow(t, e) for e in entries]), reason=reason, drives=drives
+    )
+    known = "" if reason else f"the mean step of sequences {' '.join(known_sequences(run))}, never turning"
     notes = {"constant": known, "straight": "a metre a frame along the optical axis", "inverted": "a mistake that snippets hardly see"}
     for name in CONTROLS:
-        scores = scores.plus(name, {SEEDLESS: follow_control(run, name, entries)}, f"control: {notes[name]}")
+        frames = None if reason else {SEEDLESS: pd.concat([follow_control(run, name, entry) for entry in entries])}
+        scores = scores.plus(name, frames, reason or f"control: {notes[name]}")
     return scores
 
 
@@ -113,13 +110,11 @@ def trajectory_table(run: Run, scores: Scores) -> pd.DataFrame:
         if name in scores.missing:
             rows.append({"method": method} | not_run(scores.missing[name]))
             continue
-        for sequence in names(run):
-            for how in ALIGNMENTS:
-                frame = scores.of(name, f"{sequence}, {how}")
-                segments = int(frame["segments"].iloc[0])
-                row = {"method": method, "sequence": sequence, "align": how, **over_seeds(frame, TRAJECTORY)}
-                note = "" if segments else "no segment of 100 m: the path is too short"
-                rows.append(row | method_row(scores, name, ()) | {"segments": segments, "note": note})
+        for sequence, how in product(names(run), ALIGNMENTS):
+            segments = int(scores.of(name, f"{sequence}, {how}")["segments"].iloc[0])
+            row = {"method": method, "sequence": sequence, "align": how, "segments": segments}
+            note = "" if segments else "no segment of 100 m: the path is too short"
+            rows.append(row | method_row(scores, name, TRAJECTORY, f"{sequence}, {how}") | {"note": note})
     columns = ["method", "sequence", "align", *TRAJECTORY, "segments", "seeds", "source", "note", "reason", "leak"]
     return pd.DataFrame(rows).reindex(columns=[*columns, *(f"{m}_std" for m in TRAJECTORY)])
 
@@ -182,7 +177,7 @@ def _t_errs(a: pd.DataFrame, b: pd.DataFrame) -> dict[str, Any]:
         return {"n": 0, "reason": "the path is too short for a segment"}
     errors = np.broadcast_arrays(a["t_err"].to_numpy(), b["t_err"].to_numpy())
     difference = errors[0] - errors[1]
-    mean, spread = mean_std(difference)
+    mean, spread = difference.mean(), pd.Series(difference).std()
     better = int((difference < 0).sum())
     words = f"{'better' if mean < 0 else 'worse'} by {abs(mean):.3g} points of t_err; better with {better} of {len(difference)} seeds"
     means = {"mean_a": errors[0].mean(), "mean_b": errors[1].mean(), "difference": mean, "spread": spread, "seeds": len(difference)}
@@ -194,6 +189,5 @@ def paths(run: Run, scores: Scores, entry: str) -> dict[str, np.ndarray]:
     truth = true_trajectory(run, entry).poses
     shown = {"Ground truth": relative(truth)[:, :3, 3]}
     for of_seeds in scores.trainings.values():
-        poses = read_trajectory(trajectory_file(of_seeds[0], entry)).poses
-        shown[of_seeds[0].label] = aligned(poses, truth)[:, :3, 3]
+        shown[of_seeds[0].label] = aligned(chain(predicted_motions(of_seeds[0], entry)), truth)[:, :3, 3]
     return shown

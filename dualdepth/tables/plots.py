@@ -1,7 +1,7 @@
 """Pictures: depth in a perceptual colour map with a scale in metres, errors beside it."""
 
 import io
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -98,15 +98,17 @@ def map_rows(
     *,
     windows: Sequence[CloseUp] | None = None,
     unit: str = "m",
-    errors: bool = False,
+    errors: Collection[str] = (),
 ) -> Picture:
     """Frames in rows: image, then one map for each name in `maps`.
 
     Args:
         images, titles: (H, W, 3) each.
-        maps: (H, W) depth each, in metres or in another `unit`; with `errors` relative errors (NaN = unknown).
+        maps: (H, W) depth each, in metres or in another `unit`, 0 = unknown.
         windows: the part of each frame that is shown, instead of all.
+        errors: names of the maps that are relative errors instead, NaN = unknown.
     """
+    last = [name for name in maps if name not in errors][-1:]  # which has the colour bar
     windows = windows or [CloseUp(0, 0, *image.shape[:2]) for image in images]
     columns, shape = 1 + len(maps), windows[0].height / windows[0].width
     figure = Picture(figsize=(13.0, len(images) * (12.4 / columns * shape + 0.22) + 0.1), layout="constrained")
@@ -115,10 +117,10 @@ def map_rows(
     ):
         show_image(row[0], window.of(image), title)
         for axes, name, value in zip(row[1:], maps, values):
-            if errors:
+            if name in errors:
                 show_error(axes, window.of(value), name)
             else:
-                show_depth(axes, window.of(value), name, bar=axes is row[-1], unit=unit)
+                show_depth(axes, window.of(value), name, bar=[name] == last, unit=unit)
     return figure
 
 
@@ -133,14 +135,9 @@ def depth_comparison(
         predictions: (H, W) metres, already scaled to the truth.
         titles: one per row.
     """
-    figure = Picture(figsize=(13, 1.35 * len(images) + 0.2), layout="constrained")
-    axes = figure.subplots(len(images), 4, squeeze=False)
-    for row, image, truth, prediction, title in zip(axes, images, truths, predictions, titles):
-        show_image(row[0], image, title)
-        show_depth(row[1], thicken(truth), "laser", bar=False)
-        show_depth(row[2], prediction, "predicted")
-        show_error(row[3], point_errors(prediction, truth), "relative error")
-    return figure
+    errors = [point_errors(prediction, truth) for prediction, truth in zip(predictions, truths)]
+    maps = {"laser": [thicken(truth) for truth in truths], "predicted": predictions, "relative error": errors}
+    return map_rows(images, maps, titles, errors=["relative error"])
 
 
 def image_grid(images: Sequence[np.ndarray], titles: Sequence[str], columns: int = 3) -> Picture:

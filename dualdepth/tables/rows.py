@@ -12,8 +12,8 @@ from dualdepth.evaluation.leaks import check_leak
 from dualdepth.evaluation.statistics import Comparison, compare
 from dualdepth.tables.scores import SEEDLESS, Scores
 
-PAPER, MEASURED, NOT_RUN = "paper", "measured", "not run"
-"""Values of the column `source`."""
+MEASURED, NOT_RUN = "measured", "not run"
+"""Values of the column `source` beside `paper`."""
 COMPARISON = ["of", "a", "b", "metric", *Comparison._fields, "n", "better", "in_words", "reason"]
 """Columns of a table of comparisons: `of` says which images or which part of them, `better` is `lower` or `higher` by the metric, `reason`
 says why nothing was compared."""
@@ -72,7 +72,7 @@ def paired(
 ) -> list[dict[str, Any]]:
     """Rows of `COMPARISON`: two methods over the images that both have, image by image and seed by seed; a is said to be better.
 
-    A method that knows no seed stands against every seed of the other. For `block` see `paired_bootstrap`.
+    A method that knows no seed stands against every seed of the other. For `block` see `compare`.
     """
     place = {"of": of or part or "", "a": a, "b": b}
     if reason := _why_not(scores, a, b):
@@ -160,13 +160,9 @@ def readable(table: pd.DataFrame, digits: int = 3) -> pd.DataFrame:
             said = [f"{mean:.{digits}f}" + ("" if pd.isna(std) else f" ± {std:.{digits}f}") for mean, std in pairs]
             shown[column] = ["" if pd.isna(mean) else words for mean, words in zip(table[column], said)]
     empty = [c for c in shown if shown[c].isna().all() or (shown[c].astype(str) == "").all()]
-    hidden = {*HIDDEN, *empty, *(c for c in shown if c.endswith("_std") and c.removesuffix("_std") in table)}
+    hidden = {"variant", "device", *empty, *(c for c in shown if c.endswith("_std") and c.removesuffix("_std") in table)}
     last = ("seeds", "source", "note", "reason", "leak")
     return shown[[c for c in shown if c not in (*hidden, *last)] + [c for c in last if c in shown and c not in hidden]]
-
-
-HIDDEN = ("variant", "device")
-"""Columns that are only in the files."""
 
 
 def show(table: pd.DataFrame, digits: int = 3) -> None:

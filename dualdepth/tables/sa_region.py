@@ -8,9 +8,9 @@ from pathlib import Path
 import pandas as pd
 
 from dualdepth.data.label_maps import LabelMaps, label_path
-from dualdepth.errors import InputError
+from dualdepth.errors import reading
 from dualdepth.evaluation.depth import METRICS
-from dualdepth.evaluation.regions import REGIONS, in_regions
+from dualdepth.evaluation.parts import REGIONS, in_regions
 from dualdepth.files import file_digest
 from dualdepth.run import Run, Sources
 from dualdepth.tables.rows import comparisons, gains, method_row, paired, seed_label, with_paper
@@ -25,7 +25,7 @@ def labels_made_by(run: Run) -> str:
     """What made the label maps: the world's renderer, or what `labels.json` beside them says; why there are none.
 
     Raises:
-        InputError: `labels.json` cannot be read.
+        InputError: `labels.json` cannot be read, or names no model.
     """
     root = Sources.load(run).labels_root
     if root is None:
@@ -35,11 +35,8 @@ def labels_made_by(run: Run) -> str:
     path = Path(root) / "labels.json"
     if not path.exists():
         return "labels of unknown origin"
-    try:
-        card = json.loads(path.read_text(encoding="utf-8"))
-        return f"labels by {card['model']}"
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{path}: names no model ({error}); delete it or make the maps again with data_scripts/export_labels.py") from None
+    with reading(path, "delete it or make the maps again with data_scripts/export_labels.py"):
+        return f"labels by {json.loads(path.read_text(encoding='utf-8'))['model']}"
 
 
 def labels_digest(run: Run) -> str | None:

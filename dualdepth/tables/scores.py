@@ -1,5 +1,6 @@
 """Scores of a run: the frames that are scored, a training as it is scored, and one long frame of scores for a table."""
 
+import contextlib
 import functools
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -10,16 +11,16 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 import torch
-from pydantic import BaseModel, ValidationError
+from pydantic import TypeAdapter
 
 from dualdepth.data.depth_maps import DepthMaps, load_ground_truth
 from dualdepth.data.kitti import Frame, image_path
 from dualdepth.data.label_maps import label_path, read_label_map
 from dualdepth.device import default_device
-from dualdepth.errors import InputError, first_mistake
+from dualdepth.errors import InputError, reading
 from dualdepth.evaluation.depth import METRICS, Parts, evaluate_parts, resize_bilinear, whole
 from dualdepth.evaluation.leaks import check_leak
-from dualdepth.files import atomic_path, file_digest, write_json, write_text
+from dualdepth.files import atomic_path, file_digest, write_json
 from dualdepth.model import DepthModel, load
 from dualdepth.networks.architecture import Architecture
 from dualdepth.run import Run, Sources, code_digest
@@ -28,13 +29,6 @@ from dualdepth.training.weights import load_card
 NO_TRUTH = "an own camera has no ground truth"
 SHOWN_MEDIAN = 10.0
 """Median depth that a map without ground truth is shown with: its scale is unknown, and the colour scale goes from 3 to 80."""
-
-
-class _FrameList(BaseModel):
-    """`test_frames.json`: how many frames the list named, and those that are scored."""
-
-    listed: int
-    frames: list[Frame]
 
 
 class Scored:
@@ -46,13 +40,11 @@ class Scored:
 
     def __init__(self, run: Run) -> None:
         path = run.require(run.prepared / "test_frames.json", "02_prepare_data")
-        try:
-            found = _FrameList.model_validate_json(path.read_bytes())
-        except ValidationError as error:
-            raise InputError(f"{path}: {first_mistake(error)}; run notebook 02_prepare_data again") from None
-        self.run, self.frames = run, found.frames
-        self.drives = sorted({frame.drive for frame in found.frames})
-        self.note = "" if len(found.frames) == found.listed else f"{len(found.frames)} of {found.listed} frames"
+        with reading(path, "run notebook 02_prepare_data again"):
+            found = json.loads(path.read_bytes())
+            self.frames, listed = TypeAdapter(list[Frame]).validate_python(found["frames"]), int(found["listed"])
+        self.run, self.drives = run, sorted({frame.drive for frame in self.frames})
+        self.note = "" if len(self.frames) == listed else f"{len(self.frames)} of {listed} frames"
         """What a table must say of an incomplete list, such as "25 of 697 frames"; else empty."""
 
     @functools.cached_property
@@ -81,11 +73,8 @@ class Scored:
 
     def label_map(self, image: int) -> np.ndarray | None:
         """Cityscapes training ids (H, W), or None where the run has no label maps; the synthetic world has them."""
-        return read_label_map(label_path(self._labels, self.frames[image])) if self._labels else None
-
-    @functools.cached_property
-    def _labels(self) -> Path | None:
-        return Sources.load(self.run).labels_root
+        root = Sources.load(self.run).labels_root
+        return read_label_map(label_path(root, self.frames[image])) if root else None
 
     def title(self, image: int) -> str:
         """Drive and number of a frame, for pictures."""
@@ -99,16 +88,7 @@ class Scored:
 
 def scored(run: Run) -> Scored:
     """`Scored` of a run, read once as long as notebook 02 is not run again."""
-    return _scored(run, _changed(run.prepared / "test_frames.json"))
-
-
-@functools.lru_cache(maxsize=4)
-def _scored(run: Run, changed: int) -> Scored:
-    return Scored(run)
-
-
-def _changed(path: Path) -> int:
-    return path.stat().st_mtime_ns if path.exists() else 0
+    return opened(Scored, (run,), run.prepared / "test_frames.json")
 
 
 class Trained:
@@ -153,16 +133,24 @@ class Trained:
         parts += [f"{height}x{width}", "ImageNet weights" if card["pretrained"] else "no ImageNet weights"]
         return ", ".join([*parts, f"{card['steps']} steps{before}", "last epoch"])
 
-    def kept(self, name: str, made_from: dict[str, Any], make: Callable[[Path], None]) -> Path:
-        """The file `name` beside the weights, made anew unless it was made from just this, by just this code."""
+    def kept(self, name: str, made_from: dict[str, Any], make: Callable[[], Any]) -> Any:
+        """What `make` gives, an array (`name` ends in .npy; mapped from the file) or a frame by image (.csv).
+
+        It is kept as the file `name` beside the weights, and made anew unless it was made from just this, by just this code.
+        """
         path = self.folder / name
         made_from = {"weights": file_digest(self.weights), **made_from, "code": code_digest("predict")}
         stamp = path.with_suffix(".json")
-        if not (path.exists() and _read_stamp(stamp) == made_from):
+        fits, is_array = False, path.suffix == ".npy"
+        with contextlib.suppress(OSError, ValueError):  # no stamp, or a damaged one
+            fits = json.loads(stamp.read_text(encoding="utf-8")) == made_from and path.exists()
+        if not fits:
             stamp.unlink(missing_ok=True)  # a kill between the two must not leave an old stamp beside a new file
-            make(path)
+            made = make()
+            with atomic_path(path) as partial:
+                np.save(partial, made) if is_array else made.to_csv(partial)
             write_json(stamp, made_from)
-        return path
+        return np.load(path, mmap_mode="r") if is_array else pd.read_csv(path, index_col="image")
 
     @functools.cached_property
     def disparities(self) -> np.ndarray:
@@ -173,13 +161,7 @@ class Trained:
         """
         frames = scored(self.run)
         self.check(frames.drives)
-
-        def predict(path: Path) -> None:
-            disparities = self.model.disparities(frames.paths)
-            with atomic_path(path) as partial:
-                np.save(partial, disparities)
-
-        return np.load(self.kept("disparities.npy", self._of_frames, predict), mmap_mode="r")
+        return self.kept("disparities.npy", self._of_frames, lambda: self.model.disparities(frames.paths))
 
     @property
     def _of_frames(self) -> dict[str, Any]:
@@ -201,12 +183,8 @@ class Trained:
         if not self.run.profile.data.has_truth:
             frame = pd.DataFrame({name: np.nan for name in METRICS}, index=pd.RangeIndex(len(self.disparities), name="image"))
             return frame.assign(scale_ratio=[SHOWN_MEDIAN * float(np.median(d)) for d in self.disparities], valid_pixels=0)
-
-        def score(path: Path) -> None:
-            write_text(path, self.parts(whole).droplevel("part").to_csv())
-
-        made_from = self._of_frames | {"evaluation": self.run.profile.digest("evaluation")}
-        return pd.read_csv(self.kept("per_image.csv", made_from, score), index_col="image")
+        made_from = self._of_frames | self.run.profile.values("evaluation")
+        return self.kept("per_image.csv", made_from, lambda: self.parts(whole).droplevel("part"))
 
     def depth(self, image: int, size: tuple[int, int] | None = None) -> np.ndarray:
         """Depth of a scored frame in metres, median-scaled and clamped as it is scored, resized to `size` (H, W) or the ground truth's.
@@ -221,12 +199,18 @@ class Trained:
 
 def trained(run: Run, variant: str, seed: int) -> Trained:
     """`Trained`, one for the same weights and frames, so that tables that ask for the same scores compute them once."""
-    return _trained(run, variant, seed, _changed(run.weights(variant, seed)), _changed(run.prepared / "ground_truth.npz"))
+    return opened(Trained, (run, variant, seed), run.weights(variant, seed), run.prepared / "ground_truth.npz")
+
+
+def opened(kind: Callable[..., Any], arguments: tuple[Any, ...], *files: Path) -> Any:
+    """`kind(*arguments)`, the same object as long as none of the files changes."""
+    stats = [path.stat() if path.exists() else None for path in files]
+    return _made(kind, arguments, *((s.st_size, s.st_mtime_ns) if s else None for s in stats))
 
 
 @functools.lru_cache(maxsize=256)
-def _trained(run: Run, variant: str, seed: int, *changed: int) -> Trained:
-    return Trained(run, variant, seed)
+def _made(kind: Callable[..., Any], arguments: tuple[Any, ...], *changed: tuple[int, int] | None) -> Any:
+    return kind(*arguments)
 
 
 def untrained_net(run: Run, seed: int) -> DepthModel:
@@ -294,10 +278,3 @@ def collect(
     frames = {(v, training.seed): score(training) for v, found in trainings.items() for training in found}
     frame = pd.concat(frames, names=["variant", "seed"]) if frames else pd.DataFrame()
     return Scores(frame, trainings, missing, drives if drives is not None or reason else scored(run).drives)
-
-
-def _read_stamp(path: Path) -> Any:
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None

@@ -9,7 +9,7 @@ import pandas as pd
 
 from dualdepth import paper
 from dualdepth.evaluation.depth import METRICS, resize_bilinear
-from dualdepth.evaluation.regions import POLE, class_errors
+from dualdepth.evaluation.parts import POLE, class_errors
 from dualdepth.evaluation.sharpness import boundary_scores, tenengrad
 from dualdepth.run import Run
 from dualdepth.tables.rows import MEASURED, comparisons, method_row, not_run, over_seeds, paired, with_paper

@@ -1,7 +1,5 @@
 """Trajectories of the odometry table: PoseNet's motions along the test sequences, chained, and the controls that they must beat."""
 
-from collections.abc import Sequence
-from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -13,7 +11,6 @@ from dualdepth.device import default_device
 from dualdepth.errors import InputError
 from dualdepth.evaluation import odometry
 from dualdepth.evaluation.odometry import ALIGNMENTS, snippet_errors, snippets, trajectory_errors
-from dualdepth.files import atomic_path
 from dualdepth.model import load_pose_net, predict_poses
 from dualdepth.run import Run, Sources
 from dualdepth.tables.scores import Trained
@@ -53,11 +50,10 @@ def sequence_frames(run: Run, entry: str) -> dict[int, Path]:
     Raises:
         InputError: no images, or a gap between them.
     """
-    files = frame_files(_root(run), entry)
-    numbers = list(files)
-    if numbers != list(range(numbers[0], numbers[0] + len(numbers))):
-        gap = next(a for a, b in pairwise(numbers) if b != a + 1)
-        raise InputError(f"{files[gap].parent}: frame {gap + 1} is missing; a trajectory needs all frames")
+    files = frame_files(Sources.load(run).odometry_root, entry)
+    for before, number in pairwise(files):
+        if number != before + 1:
+            raise InputError(f"{files[number].parent}: frame {before + 1} is missing; a trajectory needs all frames")
     return files
 
 
@@ -67,7 +63,7 @@ def true_trajectory(run: Run, entry: str) -> Trajectory:
     Raises:
         InputError: the pose file is missing, bad, or shorter than the sequence.
     """
-    path, numbers = poses_path(_root(run), entry), list(sequence_frames(run, entry))
+    path, numbers = poses_path(Sources.load(run).odometry_root, entry), list(sequence_frames(run, entry))
     poses = read_trajectory(path).poses
     if numbers[-1] >= len(poses):
         raise InputError(f"{path}: has {len(poses)} poses, but the sequence has a frame {numbers[-1]}")
@@ -80,53 +76,35 @@ def predicted_motions(training: Trained, entry: str) -> np.ndarray:
     Raises:
         InputError: the weights are missing, or were trained on the sequence.
     """
-    training.check(scored_drives(training.run, [entry]))
+    training.check(drives_of([entry], world=training.run.profile.world is not None))
     files = list(sequence_frames(training.run, entry).values())
-
-    def predict(path: Path) -> None:
-        with atomic_path(path) as partial:
-            np.save(partial, predict_poses(load_pose_net(training.weights, default_device()), files))
-
     frames = [[str(f.resolve()), f.stat().st_size, f.stat().st_mtime_ns] for f in files]
-    return np.load(training.kept(f"motions_{'_'.join(sequence_of(entry))}.npy", {"frames": frames}, predict))
+
+    def predict() -> np.ndarray:
+        return predict_poses(load_pose_net(training.weights, default_device()), files)
+
+    return training.kept(f"motions_{'_'.join(sequence_of(entry))}.npy", {"frames": frames}, predict)
 
 
-def scored_drives(run: Run, entries: Sequence[str]) -> list[str]:
-    """Drives that sequences are of, as the guard against leaks names them."""
-    return drives_of(entries, world=run.profile.world is not None)
-
-
-def trajectory_file(training: Trained, entry: str) -> Path:
-    """Where the trajectory of a training along a sequence is written, in KITTI's format."""
-    return training.run.results / "trajectories" / f"{training.variant}_seed{training.seed}_{sequence_of(entry)[0]}.txt"
-
-
-@lru_cache(maxsize=64)
-def follow(training: Trained, entries: tuple[str, ...]) -> pd.DataFrame:
-    """Score a training's PoseNet on test sequences, and write its trajectories to `results/<profile>/trajectories`.
+def follow(training: Trained, entry: str) -> pd.DataFrame:
+    """Score a training's PoseNet on a test sequence, and write its trajectory to `results/<profile>/trajectories`, in KITTI's format.
 
     Returns:
         Rows by (image, part): of parts such as "09, 3 frames" each snippet's `ate` and `rmse` in metres; of parts such as "09, 7dof", image
         0, what `trajectory_errors` says of the whole trajectory.
     """
-    found = []
-    for entry in entries:
-        motions, truth = predicted_motions(training, entry), true_trajectory(training.run, entry)
-        poses = chain(motions)
-        write_trajectory(trajectory_file(training, entry), poses)
-        found.append(_score(entry, truth, poses, {3: triplet_snippets(motions)}))
-    return pd.concat(found)
+    motions, truth = predicted_motions(training, entry), true_trajectory(training.run, entry)
+    file = f"{training.variant}_seed{training.seed}_{sequence_of(entry)[0]}.txt"
+    write_trajectory(training.run.results / "trajectories" / file, chain(motions))
+    return _score(entry, truth, chain(motions), {3: triplet_snippets(motions)})
 
 
-def follow_control(run: Run, name: str, entries: Sequence[str]) -> pd.DataFrame:
-    """Scores of one of `CONTROLS` on test sequences, as of `follow`."""
-    found = []
-    for entry in entries:
-        truth = true_trajectory(run, entry)
-        # the field stores snippets, each in its first frame's axes: there the mistake is made
-        cut = {n: odometry.inverted(snippets(truth.poses, n)) for n in LENGTHS if n <= len(truth.poses)} if name == "inverted" else {}
-        found.append(_score(entry, truth, control_poses(run, name, truth), cut))
-    return pd.concat(found)
+def follow_control(run: Run, name: str, entry: str) -> pd.DataFrame:
+    """Scores of one of `CONTROLS` on a test sequence, as of `follow`."""
+    truth = true_trajectory(run, entry)
+    # the field stores snippets, each in its first frame's axes: there the mistake is made
+    cut = {length: odometry.inverted(snippets(truth.poses, length)) for length in LENGTHS} if name == "inverted" else {}
+    return _score(entry, truth, control_poses(run, name, truth), cut)
 
 
 def control_poses(run: Run, name: str, truth: Trajectory) -> np.ndarray:
@@ -136,10 +114,10 @@ def control_poses(run: Run, name: str, truth: Trajectory) -> np.ndarray:
         InputError: no training sequence has true poses, from which the constant velocity is taken.
     """
     if name == "straight":
-        return odometry.straight_ahead(len(truth.frames))
+        return odometry.constant_velocity(len(truth.frames), np.array([0.0, 0.0, 1.0]))
     if name == "inverted":
         return odometry.inverted(truth.poses)
-    known = [read_trajectory(poses_path(_root(run), entry)).poses for entry in known_sequences(run)]
+    known = [read_trajectory(poses_path(Sources.load(run).odometry_root, entry)).poses for entry in known_sequences(run)]
     return odometry.constant_velocity(len(truth.frames), odometry.mean_step(known))
 
 
@@ -149,7 +127,7 @@ def known_sequences(run: Run) -> list[str]:
     Raises:
         InputError: none has them.
     """
-    root, (train, _) = _root(run), run.profile.odometry_sequences()
+    root, (train, _) = Sources.load(run).odometry_root, run.profile.odometry_sequences()
     known = [sequence_of(entry)[0] for entry in train if poses_path(root, entry).is_file()]
     if not known:
         raise InputError(f"{root}: no true poses of training sequences {', '.join(train)}, from which the constant velocity is taken")
@@ -158,15 +136,8 @@ def known_sequences(run: Run) -> list[str]:
 
 def _score(entry: str, truth: Trajectory, poses: np.ndarray, given: dict[int, np.ndarray]) -> pd.DataFrame:
     """Scores of a trajectory along one sequence; `given` has snippets that are not cut from it."""
-    cut = {length: snippets(poses, length) for length in LENGTHS if length <= len(poses)} | given
+    cut = {length: snippets(poses, length) for length in LENGTHS} | given
     prediction, name = truth._replace(poses=poses), sequence_of(entry)[0]
     found = {f"{name}, {length} frames": snippet_errors(snippets(truth.poses, length), ours) for length, ours in cut.items()}
     found |= {f"{name}, {how}": pd.DataFrame([trajectory_errors(truth, prediction, how)]) for how in ALIGNMENTS}
     return pd.concat(found, names=["part", "image"]).swaplevel()
-
-
-def _root(run: Run) -> Path:
-    root = Sources.load(run).odometry_root
-    if root is None:
-        raise InputError(f"the odometry table: {NO_SEQUENCES}")
-    return root

@@ -6,7 +6,7 @@ import pytest
 from dualdepth.data.kitti import read_frame_list
 from dualdepth.data.lidar import ground_truth
 from dualdepth.errors import InputError
-from dualdepth.evaluation.baselines import BASELINES, GRID, depth_sums, leave_one_drive_out, mean_depth, predict
+from dualdepth.evaluation.baselines import depth_sums, leave_one_drive_out, mean_depth, predict
 from dualdepth.evaluation.depth import evaluate, summary
 
 SPARSE = [
@@ -32,7 +32,7 @@ def test_maps_of_several_sizes_share_the_grid():
     np.testing.assert_allclose(mean_depth(sums_of([small, large]), "mean_map"), np.full((3, 4), (10 + 4 * 20) / 5))
 
 
-@pytest.mark.parametrize("baseline", BASELINES)
+@pytest.mark.parametrize("baseline", ["constant", "row_mean", "mean_map"])
 def test_leaving_a_drive_out_equals_fitting_on_the_others(baseline):
     rng = np.random.default_rng(0)
     shapes = [(12, 16), (12, 16), (10, 16), (12, 16), (12, 18)]
@@ -56,7 +56,7 @@ def test_real_frames_score_near_other_real_frames(real):
     maps = [ground_truth(real("kitti_raw"), frame) for frame in frames]
     expected = {"constant": (0.486, 0.265), "row_mean": (0.234, 0.635), "mean_map": (0.210, 0.716)}
     for baseline, (abs_rel, a1) in expected.items():
-        predictions = leave_one_drive_out(maps, [frame.drive for frame in frames], baseline, grid=GRID, max_depth=80)
+        predictions = leave_one_drive_out(maps, [frame.drive for frame in frames], baseline, max_depth=80)
         values = summary(evaluate(predictions, maps))
         assert values["abs_rel"] == pytest.approx(abs_rel, abs=0.04)
         assert values["a1"] == pytest.approx(a1, abs=0.1)

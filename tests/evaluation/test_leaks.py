@@ -9,7 +9,7 @@ import torch
 
 from dualdepth.cli import main
 from dualdepth.data.depth_maps import save_ground_truth
-from dualdepth.data.odometry import drives_of, write_trajectory
+from dualdepth.data.odometry import write_trajectory
 from dualdepth.errors import InputError
 from dualdepth.evaluation.leaks import check_leak
 from dualdepth.training.weights import save_weights
@@ -25,12 +25,6 @@ def test_a_leak_is_refused_by_name_with_the_mend_or_marks_the_result_and_other_d
     assert check_leak(CARD, ["2011_09_26/2011_09_26_drive_0002_sync"], allow=False) == check_leak(CARD, [], allow=False) == ""
     with pytest.raises(InputError, match="does not say which drives"):
         check_leak({}, [RAW_33], allow=False)
-
-
-def test_odometry_sequence_09_is_an_eigen_training_drive():
-    with pytest.raises(InputError, match="drive_0033"):
-        check_leak(CARD, drives_of(["09"], world=False), allow=False)
-    check_leak(CARD, drives_of(["09"], world=True), allow=False)
 
 
 @pytest.fixture

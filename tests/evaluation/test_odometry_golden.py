@@ -2,12 +2,14 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from dualdepth.data.odometry import read_trajectory
 from dualdepth.evaluation import odometry
 from dualdepth.evaluation.odometry import snippet_errors, snippets, trajectory_errors
 
+AHEAD = np.array([0, 0, 1.0])
 REAL = Path(__file__).parents[3] / "shared" / "data" / "kitti_odometry"
 
 
@@ -46,7 +48,7 @@ def test_golden_snippets(truths, control, sequence, length):
     if control == "inverted":
         prediction = odometry.inverted(truth)
     elif control == "straight":
-        prediction = snippets(odometry.straight_ahead(len(poses)), length)
+        prediction = snippets(odometry.constant_velocity(len(poses), AHEAD), length)
     else:
         step = odometry.mean_step(truths[f"{n:02d}"].poses for n in range(9))
         prediction = snippets(odometry.constant_velocity(len(poses), step), length)
@@ -58,7 +60,7 @@ def test_golden_snippets(truths, control, sequence, length):
 @pytest.mark.parametrize("sequence, length, rmse", [("09", 3, 0.041), ("10", 3, 0.0314), ("09", 5, 0.0938), ("10", 5, 0.068)])
 def test_golden_true_rmse_of_straight_ahead(truths, sequence, length, rmse):
     poses = truths[sequence].poses
-    errors = snippet_errors(snippets(poses, length), snippets(odometry.straight_ahead(len(poses)), length))
+    errors = snippet_errors(snippets(poses, length), snippets(odometry.constant_velocity(len(poses), AHEAD), length))
     assert errors["rmse"].mean() == pytest.approx(rmse, abs=6e-5)
 
 

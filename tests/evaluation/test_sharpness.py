@@ -28,11 +28,6 @@ def slow_tenengrad(values, threshold):
     return total
 
 
-def step(height=12, width=20, low=3.0, high=8.0):
-    """Left half low, right half high."""
-    return np.where(np.arange(width) < width // 2, low, high) * np.ones((height, 1))
-
-
 def test_tenengrad_equals_the_slow_sum_at_every_threshold():
     values = np.random.default_rng(0).uniform(0, 10, (9, 13))
     thresholds = [0, 5, 12, 20, 1000]

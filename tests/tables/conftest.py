@@ -16,17 +16,15 @@ DRIVE = "2011_09_26/2011_09_26_drive_0001_sync"
 
 @pytest.fixture
 def make_run(tmp_path):
-    """A run of a profile, or of one written here, whose list of scored frames is there; by default of tiny with every variant."""
+    """A run of tiny with every variant, of a profile with this text, or of one on KITTI with more; its list of scored frames is there."""
 
-    def make(profile="tiny", *, text=None, frames=2, listed=None):
-        if text is None and profile == "tiny":
+    def make(profile="tiny", *, text=None, kitti=None, frames=2, listed=None):
+        if text is None and kitti is None:
             values = yaml.safe_load((PROFILES / "tiny.yaml").read_text(encoding="utf-8"))
             text = yaml.safe_dump(values | {"train": dict.fromkeys(standard_variants())})
-        if text is not None:
-            path = tmp_path / f"{profile}.yaml"
-            path.write_text(text)
-            profile = str(path)
-        run = Run(profile, tmp_path)
+        path = tmp_path / f"{profile}.yaml"
+        path.write_text(text or f"about: x\ndata: {{source: kitti, train_list: eigen_zhou}}\n{kitti}")
+        run = Run(str(path), tmp_path)
         run.prepared.mkdir(parents=True, exist_ok=True)
         listing = {"frames": [[DRIVE, i, "image_02"] for i in range(frames)], "listed": listed or frames}
         write_json(run.prepared / "test_frames.json", listing)

@@ -5,6 +5,8 @@ import pandas as pd
 import pytest
 
 from dualdepth import paper
+from dualdepth.evaluation.statistics import Comparison
+from dualdepth.report import TITLES
 from dualdepth.run import project_root
 from dualdepth.tables import claims
 from dualdepth.tables.claims import (
@@ -21,19 +23,19 @@ from dualdepth.tables.claims import (
 )
 
 
-def number(ours, paper=0.100, spread=np.nan, seeds=1, digit=0.001, lower=True):
-    return judge_number(paper, ours, spread=spread, seeds=seeds, digit=digit, lower_is_better=lower).word
+def number(ours, paper=0.100, spread=np.nan, seeds=1, metric="abs_rel"):
+    return judge_number(metric, paper, ours, spread=spread, seeds=seeds).word
 
 
 def test_two_percent_half_of_the_last_digit_and_what_is_better_are_reproduced():
     assert number(0.102) == REPRODUCED
     assert number(0.1021) == NOT_REPRODUCED
-    assert number(1.02 * 16.43, paper=16.43, digit=0.01, lower=None) == REPRODUCED
-    assert number(0.97 * 16.43, paper=16.43, digit=0.01, lower=None) == NOT_REPRODUCED
+    assert number(1.02 * 16.43, paper=16.43, metric="params_m") == REPRODUCED
+    assert number(0.97 * 16.43, paper=16.43, metric="params_m") == NOT_REPRODUCED
     assert number(0.0075, paper=0.008) == number(0.0085, paper=0.008) == REPRODUCED
     assert number(0.0087, paper=0.008) == NOT_REPRODUCED
-    assert number(0.05) == REPRODUCED and number(0.05, lower=False) == NOT_REPRODUCED
-    assert number(0.5, lower=False) == REPRODUCED and number(0.05, lower=None) == NOT_REPRODUCED
+    assert number(0.05) == REPRODUCED and number(0.05, metric="a1") == NOT_REPRODUCED
+    assert number(0.5, metric="a1") == REPRODUCED and number(0.05, metric="gmacs") == NOT_REPRODUCED
 
 
 def test_noise_is_the_t_interval_over_seeds():
@@ -44,7 +46,7 @@ def test_noise_is_the_t_interval_over_seeds():
 
 
 def claim(difference, half, spread=np.nan, seeds=1, lower=True):
-    return judge_claim(difference, difference - half, difference + half, spread=spread, seeds=seeds, lower_is_better=lower)
+    return judge_claim(Comparison(0, 0, difference, difference - half, difference + half, spread, seeds), lower_is_better=lower)
 
 
 def test_a_claim_needs_the_sign_and_both_intervals():
@@ -58,7 +60,7 @@ def test_a_claim_needs_the_sign_and_both_intervals():
     assert claim(np.nan, 0.005).word == NOT_RUN
 
 
-@pytest.mark.parametrize("name", paper.TABLES)
+@pytest.mark.parametrize("name", TITLES)
 def test_every_row_of_the_paper_that_is_its_own_has_a_pair_with_its_metrics(name):
     table, pairs = paper.table(name), [pair for pair in PAIRS if pair.table == name]
     rows = [claims._row(table, pair.paper, of_paper=True) for pair in pairs]
@@ -68,55 +70,49 @@ def test_every_row_of_the_paper_that_is_its_own_has_a_pair_with_its_metrics(name
         assert pair.metrics == ("ratio",) or all(pd.notna(row[m]) for m in pair.metrics if m != "rmse_log"), pair
 
 
-def ablation(**ours):
-    rows = [{"method": "LR-Net", "variant": "lr", "source": "measured", "seeds": "0 1 2", "n": 5, **ours}]
-    return pd.concat([paper.table("ablation"), pd.DataFrame(rows)], ignore_index=True)
+def judged(name, *ours, judged=True, **of_paper):
+    """`compare_numbers` of the paper's table with rows of ours below it, by row and metric."""
+    rows = pd.DataFrame([{"source": "measured"} | row for row in ours])
+    return compare_numbers({name: pd.concat([paper.table(name).assign(**of_paper), rows])}, judged).set_index(["row", "metric"])
 
 
 def test_numbers_stand_beside_the_papers_with_their_interval_or_the_reason_why_not():
-    table = compare_numbers({"ablation": ablation(abs_rel=0.14, abs_rel_std=0.01)}, judged=True)
-    row = table.query("row == 'Baseline (LR-Net only)' and metric == 'abs_rel'").iloc[0]
+    lr = {"method": "LR-Net", "variant": "lr"}
+    table = judged("ablation", lr | {"seeds": "0 1 2", "n": 5, "abs_rel": 0.14, "abs_rel_std": 0.01})
+    row = table.loc["Baseline (LR-Net only)", "abs_rel"]
     assert row["paper"] == 0.132 and row["ours"] == 0.14 and row["seeds"] == "0 1 2"
     assert row["high"] - row["low"] == pytest.approx(2 * 4.3027 * 0.01 / 3**0.5, rel=1e-3)
     assert row["difference"] == pytest.approx(0.008) and row["verdict"] == WITHIN_NOISE
-    table = compare_numbers({"ablation": ablation(source="not run", reason="no GPU")}, judged=True)
-    rows = table.query("row == 'Baseline (LR-Net only)'")
+    rows = judged("ablation", lr | {"source": "not run", "reason": "no GPU"}).loc["Baseline (LR-Net only)"]
     assert set(rows["verdict"]) == {NOT_RUN} and set(rows["note"]) == {"no GPU"}
 
 
 def test_the_papers_two_regions_are_told_apart():
     """0.080 is printed with three digits, though it ends in a zero."""
-    road = {"region": "Road", "source": "measured", "abs_rel": 0.085}
-    table = pd.concat([paper.table("sa_region"), pd.DataFrame([road | {"variant": "dual"}, road | {"variant": "dual_no_sa"}])])
-    rows = compare_numbers({"sa_region": table}, judged=True).set_index("row")["verdict"]
-    assert rows["Road, w/ SA"] == NOT_REPRODUCED and rows["Road, w/o SA"] == REPRODUCED
+    road = {"region": "Road", "abs_rel": 0.085}
+    verdicts = judged("sa_region", road | {"variant": "dual"}, road | {"variant": "dual_no_sa"})["verdict"]
+    assert verdicts["Road, w/ SA", "abs_rel"] == NOT_REPRODUCED and verdicts["Road, w/o SA", "abs_rel"] == REPRODUCED
 
 
 def test_a_reading_that_was_chosen_by_its_closeness_is_not_judged():
-    ours = {"method": "w/ HR-Net", "closest": True, "ratio": 5.1, "source": "measured"}
-    table = pd.concat([paper.table("sharpness").assign(ratio=[np.nan, 5.15], closest=False), pd.DataFrame([ours])])
-    row = compare_numbers({"sharpness": table}, judged=True).iloc[0]
+    ours = {"method": "w/ HR-Net", "closest": True, "ratio": 5.1}
+    row = judged("sharpness", ours, ratio=[np.nan, 5.15], closest=False).iloc[0]
     assert row["ours"] == 5.1 and pd.isna(row["verdict"]) and row["note"].startswith("not judged")
 
 
 def test_snippets_are_counted_for_their_own_sequence():
-    ours = {"variant": "odometry_lr", "frames": 3, "snippet_ate_mean_09": 0.017, "n_09": 114, "n_10": 115, "n": 229, "source": "measured"}
-    table = compare_numbers({"odometry": pd.concat([paper.table("odometry"), pd.DataFrame([ours])])}, judged=True)
-    assert table.query("metric == 'snippet_ate_mean_09' and row == 'Ours (LR-Net)'")["n"].item() == 114
+    ours = {"variant": "odometry_lr", "frames": 3, "snippet_ate_mean_09": 0.017, "n_09": 114, "n_10": 115, "n": 229}
+    assert judged("odometry", ours).loc[("Ours (LR-Net)", "snippet_ate_mean_09"), "n"] == 114
 
 
 def test_numbers_are_judged_only_where_asked():
-    ours = {"backbone": "ResNet18", "params_m": 16.313, "gmacs": 99.0, "abs_rel": 0.5, "source": "measured"}
-    backbone = pd.concat([paper.table("backbone"), pd.DataFrame([ours])])
-    table = compare_numbers({"backbone": backbone}, judged=False).query("row == 'ResNet18'").set_index("metric")
-    assert (
-        table["verdict"][["params_m", "gmacs", "abs_rel"]].isna().all()
-        and table["verdict"]["a1"] == NOT_RUN
-        and table["note"]["a1"] == "no number"
-    )
+    ours = {"backbone": "ResNet18", "params_m": 16.313, "gmacs": 99.0, "abs_rel": 0.5}
+    table = judged("backbone", ours, judged=False).loc["ResNet18"]
+    assert table.loc[["params_m", "gmacs", "abs_rel"], "verdict"].isna().all()
+    assert table.loc["a1", ["verdict", "note"]].tolist() == [NOT_RUN, "no number"]
     assert table.loc["params_m", "difference"] == pytest.approx(16.313 - 16.43)
-    table = compare_numbers({"backbone": backbone}, judged=True).query("row == 'ResNet18'").set_index("metric")["verdict"]
-    assert table["params_m"] == REPRODUCED and table["gmacs"] == NOT_REPRODUCED
+    verdicts = judged("backbone", ours).loc["ResNet18", "verdict"]
+    assert verdicts["params_m"] == REPRODUCED and verdicts["gmacs"] == NOT_REPRODUCED
 
 
 def claims_table(difference, low, high, spread=0.001, seeds=3, **row):

@@ -5,7 +5,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dualdepth.evaluation.regions import POLE
+from dualdepth.evaluation.parts import POLE
 from dualdepth.tables import plots
 from dualdepth.tables.figures import around, boundary_window, far_window, interpolated, pole_window
 from dualdepth.tables.plots import map_rows
@@ -147,7 +147,7 @@ def test_every_figure_is_drawn_and_saved(name, tmp_path):
     assert image.std() > 5  # something is drawn
 
 
-@pytest.mark.parametrize(("errors", "maps", "unknown"), [(False, DEPTHS, 0), (True, ERRORS, np.nan)])
+@pytest.mark.parametrize(("errors", "maps", "unknown"), [((), DEPTHS, 0), (["lr"], ERRORS, np.nan)])
 def test_close_ups_show_the_windows_of_the_image_and_of_its_map(errors, maps, unknown):
     figure = map_rows(IMAGES, {"lr": maps}, TITLES, windows=WINDOWS, errors=errors)
     shown = [axes.images[0].get_array() for axes in figure.axes if axes.get_label() != "<colorbar>"]

@@ -4,8 +4,7 @@ import pytest
 
 from dualdepth.evaluation.depth import METRICS
 from dualdepth.tables import ablation, distance, main, sharpness
-from dualdepth.tables.rows import method_row, paired
-from dualdepth.tables.scores import NO_TRUTH, Trained, collect
+from dualdepth.tables.scores import NO_TRUTH, Trained
 
 SEEDS = [0]
 TABLES = {
@@ -41,11 +40,3 @@ def test_every_row_of_ours_is_without_numbers_and_says_why(run, table):
 def test_no_claim_is_compared(run, table):
     made = CLAIMS[table](run)
     assert len(made) and (made["metric"] == "").all() and made["reason"].eq(NO_TRUTH).all()
-
-
-def test_a_benchmark_with_a_truth_of_its_own_is_scored_all_the_same(run, make_scores):
-    values = {"lr": 0.4, "dual": 0.3}
-    scores = collect(run, values, SEEDS, lambda training: make_scores(values[training.variant]), reason="", drives=())
-    row = method_row(scores, "dual")
-    assert row["abs_rel"] == pytest.approx(0.3) and row["n"] == 6
-    assert paired(scores, "dual", "lr")[0]["difference"] == pytest.approx(-0.1)

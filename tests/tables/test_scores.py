@@ -11,16 +11,16 @@ import pytest
 
 from dualdepth.data.depth_maps import save_ground_truth
 from dualdepth.errors import InputError
-from dualdepth.evaluation.baselines import BASELINES
 from dualdepth.evaluation.depth import Protocol, evaluate, valid_pixels
 from dualdepth.files import write_json
 from dualdepth.run import Run, Sources
 from dualdepth.settings import Evaluation
 from dualdepth.tables import scores as module
-from dualdepth.tables.main import baseline_depths
+from dualdepth.tables.main import BASELINES, baseline_depths
 from dualdepth.tables.scores import Scored, Trained
 
 DRIVES = ("2011_09_26/2011_09_26_drive_0001_sync", "2011_09_26/2011_09_26_drive_0002_sync")
+FRAMES = [[DRIVES[0], 0, "image_02"], [DRIVES[0], 5, "image_02"], [DRIVES[1], 3, "image_02"]]
 SIZE = (40, 60)
 
 
@@ -37,8 +37,7 @@ def run(tmp_path, monkeypatch):
     """
     run = Run("tiny", tmp_path)
     run.prepared.mkdir(parents=True)
-    frames = [[DRIVES[0], 0, "image_02"], [DRIVES[0], 5, "image_02"], [DRIVES[1], 3, "image_02"]]
-    write_json(run.prepared / "test_frames.json", {"frames": frames, "listed": 3})
+    write_json(run.prepared / "test_frames.json", {"frames": FRAMES, "listed": 3})
     Sources(kitti_root=tmp_path, test_list=tmp_path, labels_root=run.work / "miniature" / "labels").save(run)
     save_ground_truth(run.prepared / "ground_truth.npz", truths())
     run.weights("lr", 0).parent.mkdir(parents=True)
@@ -58,7 +57,7 @@ def run(tmp_path, monkeypatch):
 
 def training(run, variant="lr", seed=0):
     """As another notebook sees it, which has read nothing yet."""
-    module._scored.cache_clear()
+    module._made.cache_clear()
     return Trained(run, variant, seed)
 
 
@@ -148,10 +147,8 @@ def test_a_training_that_is_not_there_names_its_notebook_variant_and_seed(run, v
 
 
 def test_the_scored_frames_keep_the_order_of_the_truth_and_an_incomplete_list_is_said(run):
-    assert [(f.drive, f.index) for f in Scored(run).frames] == [(DRIVES[0], 0), (DRIVES[0], 5), (DRIVES[1], 3)]
-    assert Scored(run).note == ""
-    frames = json.loads((run.prepared / "test_frames.json").read_text())["frames"]
-    write_json(run.prepared / "test_frames.json", {"frames": frames, "listed": 697})
+    assert [*map(list, Scored(run).frames)] == FRAMES and Scored(run).note == ""
+    write_json(run.prepared / "test_frames.json", {"frames": FRAMES, "listed": 697})
     assert Scored(run).note == "3 of 697 frames"
 
 
@@ -178,7 +175,7 @@ def test_baselines_are_predicted_from_the_other_drives_or_from_training_frames_o
     (run.prepared / "baseline_truth.npz").unlink()
     frames = [[DRIVES[0], i, "image_02"] for i in range(3)]
     write_json(run.prepared / "test_frames.json", {"frames": frames, "listed": 3})
-    module._scored.cache_clear()
+    module._made.cache_clear()
     assert baseline_depths(run, "mean_map")[0] is None
 
 

@@ -9,7 +9,6 @@ from dualdepth.tables.claims import claims_of
 
 VALUES = {"lr": 0.30, "dual_no_sa": 0.22, "dual": 0.20, "dual_embedding_only": 0.20, "hr_only": 0.50}
 """Of the others: 0.4."""
-TEXT = "about: x\ndata:\n  source: kitti\n  train_list: eigen_zhou\n"
 
 
 @pytest.fixture
@@ -39,16 +38,3 @@ def test_every_claim_of_the_paper_is_compared_with_the_better_one_first(scored, 
     errors = table[table["metric"] == "abs_rel"].set_index(["a", "b"])["in_words"]
     assert errors["dual", "lr"] == "better by 0.1: the interval over images excludes 0, that over 2 seeds excludes 0"
     assert errors["dual", "hr_only"].startswith("better by 0.3:")
-
-
-def test_rows_and_claims_about_networks_that_are_not_trained_stay_with_the_reason(scored, make_run):
-    run = make_run("own", text=TEXT)
-    scores = ablation_scores(run, [0])
-    ours = ablation_table(run, scores).query("source != 'paper'").set_index("variant")
-    trained = ours.index.isin(["lr", "dual", "dual_no_sa"])
-    assert ours["abs_rel"].notna().tolist() == trained.tolist() and (ours["source"] == "measured").tolist() == trained.tolist()
-    assert ours.loc["hr_only", "reason"] == "profile own does not train hr_only"
-    table = ablation_claims(scores)
-    missing = table[table["reason"] != ""]
-    assert set(zip(missing["a"], missing["b"])) == {(c.a, c.b) for c in claims_of("ablation")[3:]}
-    assert missing["difference"].isna().all() and (missing["metric"] == "").all()

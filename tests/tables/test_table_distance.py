@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from dualdepth import paper
-from dualdepth.evaluation.distance import PARTS
+from dualdepth.evaluation.parts import PARTS
 from dualdepth.tables.distance import RATIOS, distance_claims, distance_scores, distance_table
 from dualdepth.tables.rows import COMPARISON, gains
 from dualdepth.tables.scores import Scores
@@ -39,17 +39,13 @@ def table_of(run, seeds):
     return distance_table(run, {own_ratio: distance_scores(run, seeds, own_ratio=own_ratio) for own_ratio in RATIOS})
 
 
-def test_the_papers_rows_are_all_there_and_ours_bear_their_names(run, check_paper_rows):
-    table, published = table_of(run, [0]), paper.table("distance")
+def test_faults_of_far_depth_show_in_the_far_rows_with_one_ratio_and_go_with_a_ratio_of_their_own(run, check_paper_rows):
+    table, published = table_of(run, [0, 1]), paper.table("distance")
     check_paper_rows(table, published)
-    measured = table.query("source == 'measured'")
-    named = dict(zip(measured["variant"], measured["method"]))
-    assert named == {"lr": "w/o HR-Net", "dual_no_sa": "w/ HR-Net, w/o SA", "dual": "w/ HR-Net"}
-    assert {named["lr"], named["dual"]} == set(published["method"]) and set(measured["distance"]) == set(published["distance"])
-
-
-def test_faults_of_far_depth_show_in_the_far_rows_with_one_ratio_and_go_with_a_ratio_of_their_own(run):
-    table = table_of(run, [0, 1]).query("source == 'measured'").set_index(["variant", "distance", "scaling"])
+    table = table.query("source == 'measured'").set_index(["variant", "distance", "scaling"])
+    named = table["method"].groupby("variant").first()
+    assert named.to_dict() == {"lr": "w/o HR-Net", "dual_no_sa": "w/ HR-Net, w/o SA", "dual": "w/ HR-Net"}
+    assert {named["lr"], named["dual"]} == set(published["method"]) and set(PARTS) == set(published["distance"])
     assert len(table) == 12
     one, own = RATIOS[False], RATIOS[True]
     for variant, stretch in STRETCH.items():
@@ -62,10 +58,10 @@ def test_faults_of_far_depth_show_in_the_far_rows_with_one_ratio_and_go_with_a_r
             assert table.loc[(variant, NEAR, scaling), "abs_rel"] == pytest.approx(FAULT[variant] * SHARE)
 
 
-def test_the_gain_is_judged_in_each_part(run):
-    claims = distance_claims(distance_scores(run, [0, 1]))
-    assert list(claims.columns) == COMPARISON
-    claims = claims[claims["of"].isin(PARTS)].query("metric == 'abs_rel'").set_index(["of", "a", "b"])
+def test_the_gain_is_judged_in_each_part_and_far_against_near(run):
+    table = distance_claims(distance_scores(run, [0, 1]))
+    assert list(table.columns) == COMPARISON
+    claims = table[table["of"].isin(PARTS)].query("metric == 'abs_rel'").set_index(["of", "a", "b"])
     assert set(claims.index) == {(part, a, "lr") for part in PARTS for a in ("dual", "dual_no_sa")}
     far = claims.loc[(FAR, "dual", "lr")]
     assert far["difference"] == pytest.approx(-0.3) and far["spread"] == pytest.approx(0, abs=1e-9)
@@ -73,10 +69,8 @@ def test_the_gain_is_judged_in_each_part(run):
     assert claims.loc[(NEAR, "dual", "lr"), "difference"] == pytest.approx(-0.1 * SHARE)
     assert claims.loc[(NEAR, "dual_no_sa", "lr"), "difference"] == pytest.approx(0, abs=1e-9)
 
-
-def test_the_gain_of_far_pixels_is_compared_with_that_of_near_ones(run):
-    """Far errors are 0.3 and 0.4 before; 0 and 0.1 after with `dual`, 0.2 and 0.3 with `dual_no_sa`."""
-    claims = distance_claims(distance_scores(run, [0, 1])).query("of == '> 20 m against <= 20 m'")
+    # far errors are 0.3 and 0.4 before; 0 and 0.1 after with `dual`, 0.2 and 0.3 with `dual_no_sa`
+    claims = table.query("of == '> 20 m against <= 20 m'")
     assert claims["metric"].eq("abs_rel").all() and claims["n"].eq(3).all()
     claims = claims.set_index("a")
     expected = {  # far, near
@@ -93,51 +87,19 @@ def test_the_gain_of_far_pixels_is_compared_with_that_of_near_ones(run):
     assert claims["in_words"].iloc[1] == "better by 0.38: the interval over images excludes 0, that over 2 seeds includes 0"
 
 
-@pytest.fixture
-def values():
-    """Abs Rel by variant, part and image: image 2 has no far pixels, image 3 none that are near."""
-    return {
+def test_gains_are_of_images_that_have_both_parts_and_relative_ones_in_units_of_all_that_have_the_part():
+    values = {  # Abs Rel by variant, part and image: image 2 has no far pixels, image 3 none that are near
         ("lr", NEAR): {0: 0.1, 1: 0.2, 2: 0.3},
         ("dual", NEAR): {0: 0.1, 1: 0.15, 2: 0.1},
         ("lr", FAR): {0: 0.5, 1: 0.4, 3: 0.9},
         ("dual", FAR): {0: 0.2, 1: 0.3, 3: 0.1},
     }
-
-
-def far_gain(values, relative=False):
     rows = {(variant, 0, image, part): error for (variant, part), errors in values.items() for image, error in errors.items()}
-    frame = pd.DataFrame({"abs_rel": pd.Series(rows)}).rename_axis(["variant", "seed", "image", "part"])
-    (row,) = gains(Scores(frame, {}, {}), ("dual", "lr"), (FAR, NEAR), relative=relative)
-    return row
-
-
-def test_gains_are_compared_in_images_that_have_both_parts(values):
-    row = far_gain(values)
-    # far: 0.3, 0.1; near: 0, 0.05
+    scores = Scores(pd.DataFrame({"abs_rel": rows}).rename_axis(["variant", "seed", "image", "part"]), {}, {})
+    (row,) = gains(scores, ("dual", "lr"), (FAR, NEAR))  # far: 0.3, 0.1; near: 0, 0.05
     assert [row["mean_a"], row["mean_b"], row["difference"]] == pytest.approx([0.2, 0.025, 0.175])
     assert [row["low"], row["high"]] == pytest.approx([0.05, 0.3])
     assert row["n"] == 2 and row["in_words"] == "better by 0.17: the interval over images excludes 0, one seed"
-    values["dual", FAR] = values["lr", FAR]
-    assert far_gain(values)["in_words"].startswith("worse by 0.025: ")
-
-
-def test_relative_gains_are_in_units_of_lr_nets_mean_error_in_the_part(values):
-    row = far_gain(values, relative=True)
+    (row,) = gains(scores, ("dual", "lr"), (FAR, NEAR), relative=True)
     # LR-Net's mean errors: 0.6 far, 0.2 near, over all images of the part
     assert [row["mean_a"], row["mean_b"]] == pytest.approx([0.2 / 0.6, 0.025 / 0.2])
-
-
-def test_gains_of_one_image_are_not_compared(values):
-    for variant in ("lr", "dual"):
-        del values[variant, NEAR][1]
-    row = far_gain(values)
-    assert row["reason"] == "1 image" and row["n"] == 1 and row["a"] == f"gain of dual, {FAR}"
-
-
-def test_what_is_not_trained_has_a_reason_and_no_gains(run, make_run):
-    own = make_run("own", text="about: x\ndata:\n  source: kitti\n  train_list: eigen_zhou\ntrain: {lr: , dual: }\n", frames=3)
-    rows = table_of(own, [0]).query("variant == 'dual_no_sa'")
-    assert len(rows) == 4 and rows["abs_rel"].isna().all() and rows["reason"].eq("profile own does not train dual_no_sa").all()
-    claims = distance_claims(distance_scores(own, [0]))
-    gained = claims[claims["of"].str.contains("against")]["a"].tolist()
-    assert gained == [f"gain of dual, {FAR}", f"relative gain of dual, {FAR}"]

@@ -1,6 +1,5 @@
 """What all tables share: means over seeds, rows that say why they are empty, and honest comparisons."""
 
-import json
 import math
 import re
 
@@ -12,12 +11,8 @@ from dualdepth.evaluation.depth import METRICS
 from dualdepth.evaluation.statistics import Comparison
 from dualdepth.run import project_root
 from dualdepth.tables import rows as rows_module
-from dualdepth.tables import scores as scores_module
 from dualdepth.tables.rows import COMPARISON, compared, comparisons, in_words, method_row, over_seeds, paired, readable, tell
 from dualdepth.tables.scores import SEEDLESS, Scores, Trained, collect
-from dualdepth.training.weights import load_card
-
-KITTI = "about: x\ndata:\n  source: kitti\n  train_list: eigen_zhou\n"
 
 
 def frame(values, start=0, column="abs_rel"):
@@ -54,35 +49,23 @@ def test_all_seven_metrics_are_in_a_trainings_row(make_run, make_scores, give):
 
 def test_a_variant_that_is_not_trained_says_so_and_is_not_asked_for_scores(make_run, make_scores, give):
     give(lambda variant, seed: {"lr": make_scores(0.2)}[variant])
-    scores = collect(make_run("own", text=KITTI + "train: {lr: }\n"), ["lr", "dual"], [0])
+    scores = collect(make_run("own", kitti="train: {lr: }\n"), ["lr", "dual"], [0])
     assert method_row(scores, "dual") == {"variant": "dual", "source": "not run", "reason": "profile own does not train dual"}
 
 
 @pytest.mark.parametrize(
-    ("variant", "note"),
+    ("variant", "card", "note"),
     [
-        ("lr", "resnet34, 128x416, ImageNet weights, 156 steps, last epoch"),
-        ("lr_scratch", "resnet34, 128x416, no ImageNet weights, 157 steps, last epoch"),
-        ("dual", "resnet34, 384x1248, ImageNet weights, 52 steps after 156 of stage 1, last epoch"),
-        ("mobilenet_v2", "mobilenet_v2, 384x1248, ImageNet weights, 50 steps, last epoch"),
-        ("hr_only", "384x1248, no ImageNet weights, 51 steps after 156 of stage 1, last epoch"),
+        ("lr", {"pretrained": True, "steps": 156}, "resnet34, 128x416, ImageNet weights, 156 steps, last epoch"),
+        ("lr_scratch", {"steps": 157}, "resnet34, 128x416, no ImageNet weights, 157 steps, last epoch"),
+        ("dual", {"starts_from": {"steps": 156}}, "resnet34, 384x1248, no ImageNet weights, 100 steps after 156 of stage 1, last epoch"),
+        ("mobilenet_v2", {"encoder": "mobilenet_v2"}, "mobilenet_v2, 384x1248, no ImageNet weights, 100 steps, last epoch"),
+        ("hr_only", {"starts_from": {"steps": 156}}, "384x1248, no ImageNet weights, 100 steps after 156 of stage 1, last epoch"),
     ],
 )
-def test_a_training_is_described_by_its_card(make_run, monkeypatch, variant, note):
-    monkeypatch.setattr(scores_module, "load_card", load_card)
-    run = make_run("own", text=KITTI)  # which says other things: resnet50 with ImageNet weights
-    start = {"variant": "lr", "seed": 2, "steps": 156}
-    cards = {
-        "lr": {"encoder": "resnet34", "pretrained": True, "steps": 156, "starts_from": None},
-        "lr_scratch": {"encoder": "resnet34", "pretrained": False, "steps": 157, "starts_from": None},
-        "dual": {"encoder": "resnet34", "pretrained": True, "steps": 52, "starts_from": start},
-        "mobilenet_v2": {"encoder": "mobilenet_v2", "pretrained": True, "steps": 50, "starts_from": None},
-        "hr_only": {"encoder": "resnet34", "pretrained": False, "steps": 51, "starts_from": start},
-    }
-    card = run.training(variant, 2) / "model.json"
-    card.parent.mkdir(parents=True)
-    card.write_text(json.dumps(cards[variant] | {"drives": []}))
-    assert Trained(run, variant, 2).describe() == note
+def test_a_training_is_described_by_its_card(make_run, cards, variant, card, note):
+    cards[variant] = {"encoder": "resnet34"} | card
+    assert Trained(make_run("own", kitti=""), variant, 2).describe() == note  # the profile says resnet50 with ImageNet weights
 
 
 def test_a_row_says_when_scored_drives_were_trained_on(make_run, make_scores, give, cards):
@@ -124,7 +107,7 @@ def test_only_images_that_both_have_are_compared():
 
 def test_a_pair_that_was_not_trained_has_a_reason_alone(make_run, make_scores, give):
     give(lambda variant, seed: make_scores(0.2))
-    run = make_run("own", text=KITTI + "train: {lr: , dual: }\n")
+    run = make_run("own", kitti="train: {lr: , dual: }\n")
     scores = collect(run, ["lr", "dual", "dual_no_sa", "hr_only"], [0])
     table = comparisons(
         row for pair in (("dual", "dual_no_sa"), ("dual", "lr"), ("dual_no_sa", "hr_only")) for row in paired(scores, *pair)

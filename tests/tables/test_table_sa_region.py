@@ -8,7 +8,7 @@ from dualdepth import paper
 from dualdepth.data.label_maps import label_path
 from dualdepth.errors import InputError
 from dualdepth.evaluation.depth import METRICS
-from dualdepth.evaluation.regions import REGIONS
+from dualdepth.evaluation.parts import REGIONS
 from dualdepth.files import write_json
 from dualdepth.run import Sources
 from dualdepth.tables.rows import COMPARISON
@@ -18,7 +18,6 @@ from dualdepth.tables.scores import scored
 ROAD, GREEN = REGIONS
 FAULT = {("dual_no_sa", ROAD): 0.3, ("dual", ROAD): 0.1, ("dual_no_sa", GREEN): 0.1, ("dual", GREEN): 0.15}
 """By how much each network is wrong; the median depth is a building's, which is exact, so the median ratio is that of exact depth."""
-REAL = "about: x\ndata:\n  source: kitti\n  train_list: eigen_zhou\n"
 
 
 def truths():
@@ -66,23 +65,19 @@ def run(prepare):
     return prepare()
 
 
-def test_faults_of_a_region_show_in_its_rows_alone(run):
-    table = table_of(run, [0, 1]).query("source == 'measured'").set_index(["variant", "region"])
-    assert len(table) == 4
+def test_faults_of_a_region_show_in_its_rows_alone_below_the_papers_in_its_order(run, check_paper_rows):
+    table, published = table_of(run, [0, 1]), paper.table("sa_region")
+    check_paper_rows(table, published)
+    table = table.query("source == 'measured'")
+    assert table[["region", "method"]].to_numpy().tolist() == published[["region", "method"]].to_numpy().tolist()
+    table = table.set_index(["variant", "region"])
+    assert table.index.get_level_values("variant").tolist() == ["dual_no_sa", "dual"] * 2
     for (variant, region), fault in FAULT.items():
         row, by_seed = table.loc[(variant, region)], 0.1 * (region == ROAD)
         assert row["abs_rel"] == pytest.approx(fault + by_seed / 2)
         assert row["abs_rel_std"] == pytest.approx(by_seed / 2**0.5, abs=1e-9)
         assert row["rmse_log"] == pytest.approx((np.log(1 + fault) + np.log(1 + fault + by_seed)) / 2)
         assert row["n"] == (3 if region == ROAD else 2) and row["seeds"] == "0 1"
-
-
-def test_rows_bear_the_papers_names_in_its_order_below_its_rows(run, check_paper_rows):
-    table = table_of(run, [0])
-    check_paper_rows(table, paper.table("sa_region"))
-    measured = table[table["source"] == "measured"]
-    assert measured[["region", "method"]].to_numpy().tolist() == paper.table("sa_region")[["region", "method"]].to_numpy().tolist()
-    assert measured["variant"].tolist() == ["dual_no_sa", "dual"] * 2
 
 
 def test_notes_say_what_made_the_labels_and_how_many_images_have_the_region(run):
@@ -93,14 +88,14 @@ def test_notes_say_what_made_the_labels_and_how_many_images_have_the_region(run)
 
 
 def test_labels_of_real_frames_are_named_by_the_file_beside_them(prepare, tmp_path):
-    run = prepare("own", text=REAL)
+    run = prepare("own", kitti="")
     assert labels_made_by(run) == "labels of unknown origin"
     write_json(tmp_path / "labels" / "labels.json", {"model": "some/segformer"})
     assert labels_made_by(run) == "labels by some/segformer"
     assert "labels by some/segformer" in table_of(run, [0])["note"].iloc[-1]
     for text in ("{}", "[1]", "{"):
         (tmp_path / "labels" / "labels.json").write_text(text)
-        with pytest.raises(InputError, match=r"labels\.json: names no model"):
+        with pytest.raises(InputError, match=r"labels\.json: cannot be read .*export_labels"):
             labels_made_by(run)
 
 
@@ -126,10 +121,7 @@ def test_attention_is_judged_in_each_region_over_all_seeds_and_for_each(run):
     assert regions.loc[("0 1", ROAD), "in_words"].startswith("better by 0.2: ")
     assert regions.loc[("0 1", GREEN), "in_words"].startswith("worse by 0.05: ")
     assert set(region_claims(region_scores(run, [0]), [0])["seed"]) == {"0"}
-
-
-def test_the_gain_on_road_is_compared_with_that_on_green_in_images_that_have_both(run):
-    rows = region_claims(region_scores(run, [0, 1]), [0, 1]).query("of == 'Road against Tree & grass'").set_index("seed")
+    rows = claims.query("of == 'Road against Tree & grass'").set_index("seed")  # in images that have both
     row = rows.loc["0 1"]
     assert [row["a"], row["b"]] == ["gain of dual, Road", "gain of dual, Tree & grass"]
     assert [row["mean_a"], row["mean_b"], row["difference"]] == pytest.approx([0.2, -0.05, 0.25])

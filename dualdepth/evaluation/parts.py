@@ -1,4 +1,4 @@
-"""Regions of an image that label maps name (paper, table "Evaluation of SA module in regions")."""
+"""Parts of an image: near and far, and regions that label maps name (paper, tables "… distant objects", "… SA module in regions")."""
 
 from collections.abc import Sequence
 
@@ -7,10 +7,19 @@ import numpy as np
 from dualdepth.errors import InputError
 from dualdepth.evaluation.depth import Parts, Pixels, errors
 
+FAR = 20.0
+"""Metres: pixels whose ground truth is more than this are distant (paper)."""
+PARTS = ("<= 20 m", "> 20 m")
 REGIONS = {"Road": (0,), "Tree & grass": (8, 9)}
 """Cityscapes training ids of the paper's regions: with little texture, and with much (docs/protocols.md, "Regions of SA-Attention")."""
 POLE = 5
 """Cityscapes' training id of poles (docs/protocols.md, "Sharpness")."""
+
+
+def near_and_far(_: int, pixels: Pixels) -> dict[str, np.ndarray]:
+    """Masks of `PARTS`, for `evaluate_parts`; the ground truth says which part a pixel belongs to."""
+    far = pixels.ground_truth > FAR
+    return dict(zip(PARTS, (~far, far)))
 
 
 def in_regions(label_maps: Sequence[np.ndarray], names: Sequence[object]) -> Parts:
