@@ -1,6 +1,7 @@
 """What all tests share."""
 
 import os
+import re
 from pathlib import Path
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before torch: spinning threads make a busy machine ten times slower
@@ -16,17 +17,27 @@ from small_kitti import write_calibration, write_drive
 REPOSITORY = Path(__file__).resolve().parents[1]
 SLOW = (
     *("data_scripts/test_make_miniature.py", "data_scripts/test_miniature_geometry.py", "data_scripts/test_own_camera.py"),
-    *("data_scripts/own/test_checks.py", "inference/test_export.py", "inference/test_predict.py", "tables/test_table_backbone.py"),
+    *("data_scripts/own/test_checks.py", "inference/test_export.py", "tables/test_table_backbone.py"),
     *("tables/test_figures.py", "test_report.py", "data_scripts/test_export_labels.py", "data_scripts/own/test_camera.py"),
 )
 """Files whose tests are slow, or share a slow fixture, beside those that say so themselves."""
 
 
+def is_slow(path):
+    """Whether all tests of a file are."""
+    return path.as_posix().endswith(SLOW) or re.search(r"^pytestmark = .*mark\.slow", path.read_text(encoding="utf-8"), re.MULTILINE)
+
+
+def pytest_ignore_collect(collection_path, config):
+    """The fast ring does not even import slow files, some of which import much."""
+    return True if "not slow" in config.option.markexpr and collection_path.is_file() and is_slow(collection_path) else None
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Mark the tests of these files."""
+    """Mark the tests of slow files."""
     for item in items:
-        if item.nodeid.partition("::")[0].removeprefix("tests/") in SLOW:
+        if item.path.as_posix().endswith(SLOW):
             item.add_marker(pytest.mark.slow)
 
 

@@ -7,10 +7,7 @@ import sys
 from pathlib import Path
 
 import nbformat
-import papermill.parameterize
 import pytest
-from hypothesis import strategies as st
-from strategies import fuzz
 
 from data_scripts import sources
 from dualdepth.notebooks import parse_parameters
@@ -90,13 +87,3 @@ def test_a_parameter_is_data_and_never_code(value, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert given_to_a_notebook(value) == value
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.fuzz
-@pytest.mark.filterwarnings("ignore")
-def test_any_text_reaches_a_notebook_unchanged(counted):
-    def pass_on(value):
-        assert given_to_a_notebook(value) == value
-
-    text = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
-    fuzz(counted, pass_on, text.filter(lambda value: not re.fullmatch("-?[0-9]+", value)))

@@ -5,39 +5,18 @@ import re
 import signal
 import subprocess
 import sys
-import time
 
 import pytest
 
 from dualdepth.run import project_root
 from dualdepth.training.checkpoints import checkpoint_paths, last_checkpoint
-from tests.reliability.kills import make_checkout
+from tests.reliability.kills import make_checkout, wait_until
 
 
 @pytest.fixture(scope="module")
 def checkout(tmp_path_factory):
     """A checkout with prepared frames and a profile of long trainings."""
     return make_checkout(tmp_path_factory.mktemp("checkout"), lr={"batch_size": 2, "epochs": 200})
-
-
-def started(run, *command):
-    """The command as a process group of its own."""
-    return subprocess.Popen(
-        [sys.executable, "-m", "dualdepth.cli", *command],
-        cwd=run.root,
-        env=os.environ | {"PYTHONPATH": str(project_root()), "OMP_NUM_THREADS": "1"},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        start_new_session=True,
-    )
-
-
-def wait_until(true, seconds=120):
-    until = time.monotonic() + seconds
-    while not true():
-        assert time.monotonic() < until
-        time.sleep(0.01)
 
 
 @pytest.mark.parametrize(
@@ -48,8 +27,10 @@ def wait_until(true, seconds=120):
     ],
 )
 def test_sigterm_ends_a_training_with_a_checkpoint_and_one_line(checkout, seed, send, counted):
-    run = checkout
-    process = started(run, "train", "--profile", "own.yaml", "--variant", "lr", "--seed", str(seed))
+    run, words = checkout, ["train", "--profile", "own.yaml", "--variant", "lr", "--seed", str(seed)]
+    environment = os.environ | {"PYTHONPATH": str(project_root()), "OMP_NUM_THREADS": "1"}
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True, "start_new_session": True}
+    process = subprocess.Popen([sys.executable, "-m", "dualdepth.cli", *words], cwd=run.root, env=environment, **pipes)
     try:
         wait_until(lambda: checkpoint_paths(run.training("lr", seed)) or process.poll() is not None)
         send(process.pid, signal.SIGTERM)
