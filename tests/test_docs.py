@@ -76,7 +76,7 @@ def named(command: Command) -> str:
 
 
 @pytest.fixture
-def small_world(tmp_path, monkeypatch, kitti_factory, write_scan):
+def small_world(tmp_path, monkeypatch, kitti_factory, write_scan, encoder):
     """The files that the pages' examples name, small, in the working directory; `replace` puts them in place of a reader's folders."""
     monkeypatch.chdir(tmp_path)
     root, rng = kitti_factory({DRIVE: range(2)}), np.random.default_rng(0)
@@ -92,7 +92,7 @@ def small_world(tmp_path, monkeypatch, kitti_factory, write_scan):
     write_trajectory("poses/09.txt", poses)
     write_trajectory("09.txt", poses)
     cv2.imwrite("photo.jpg", rng.integers(0, 255, (120, 200, 3), np.uint8))
-    model = DepthModel({"network": "hr", "hr_size": [192, 288]}, device="cpu")
+    model = DepthModel({"network": "hr", "encoder": encoder, "hr_size": [192, 288]}, device="cpu")
     with_heads(model)
     model.save_pretrained("work/miniature/runs/lr/seed0")
     shutil.copytree("work/miniature/runs/lr", "work/miniature/runs/dual")
@@ -111,13 +111,13 @@ def in_its_ring(command: Command) -> object:
 
 
 @pytest.mark.parametrize("command", [in_its_ring(command) for command in fenced_commands()])
-def test_every_command_runs_on_small_data_or_is_dry_run(command, small_world, monkeypatch, capsys):
+def test_every_command_runs_on_small_data_or_is_dry_run(command, request, monkeypatch, capsys):
     entry = entry_of(command)
     assert entry, f"{named(command)}: a new command; add it to EXECUTED or DRY in tests/test_docs.py"
     if entry in DRY:
         DRY[entry](command.words, monkeypatch)
         return
-    main, arguments = program(small_world(command.words))
+    main, arguments = program(request.getfixturevalue("small_world")(command.words))
     try:
         code = main(arguments)
     except SystemExit as stop:

@@ -51,7 +51,7 @@ PARTS = {
     "stops": Part("SIGTERM: checkpoint and one line", by_pytest(f"{TESTS}/test_stopping.py", marked="slow or soak")),
     "disk": Part("full disks, closed folders, removed files", by_pytest(f"{TESTS}/test_disk.py")),
     "degenerate": Part("degenerate frames and networks, finite gradients", by_pytest(f"{TESTS}/test_degenerate.py")),
-    "inputs": Part("bad inputs named in one line", by_pytest(f"{TESTS}/test_bad_inputs.py", f"{TESTS}/test_permissions.py")),
+    "inputs": Part("bad inputs named in one line", by_pytest(f"{TESTS}/test_bad_inputs.py")),
     "fuzz": Part("damaged files that crash no reader", by_pytest(TESTS, marked="fuzz"), examples="1000"),
 }
 

@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 import shutil
 import zipfile
 from collections.abc import Callable
@@ -9,16 +10,18 @@ from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
+import nbformat
 import numpy as np
+import papermill.parameterize
 import pytest
 import torch
 import yaml
-from damages import encoded
+from bad_inputs import encoded
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
+from loopback import tar_of
 from PIL import Image
 from strategies import bytes_of, fuzz, read_or_refuse, values_of
-from worlds import tar_of
 
 from data_scripts import sources
 from data_scripts.archives import unpack
@@ -264,3 +267,24 @@ def test_odd_names_of_files_in_a_folder_of_frames(tmp_path_factory, counted):
         read_or_refuse(frame_files, root, "00")
 
     fuzz(counted, write_and_read, FILE_NAMES, st.sampled_from([".png", ".jpg", ".txt"]))
+
+
+CODE = ['__import__("os").system("touch X")', '"; open("X", "w"); "', "'''\nopen('X', 'w')\n'''", "{open('X', 'w')}", "!touch X", "%run X"]
+
+
+def test_a_parameter_of_a_notebook_is_data_and_never_code(tmp_path, monkeypatch, counted):
+    monkeypatch.chdir(tmp_path)
+    kernel = {"kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}, "papermill": {}}
+    cell = nbformat.v4.new_code_cell('text = ""', metadata={"tags": ["parameters"]})
+
+    def pass_on(value):
+        """The notebook has what stands after `--set text=`, by the cell that papermill puts into it, which is run here."""
+        notebook, names = nbformat.v4.new_notebook(cells=[cell], metadata=kernel), {}
+        filled = papermill.parameterize.parameterize_notebook(notebook, parse_parameters([f"text={value}"]))
+        exec("\n".join(cell.source for cell in filled.cells), names)
+        assert names["text"] == value and not list(tmp_path.iterdir())
+
+    for value in (*CODE, "\\\"; open('X', 'w') #", "$(touch X)"):
+        pass_on(value)
+    text = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
+    fuzz(counted, pass_on, text.filter(lambda value: not re.fullmatch("-?[0-9]+", value)))
