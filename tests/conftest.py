@@ -38,7 +38,7 @@ def is_slow(path):
 
 def pytest_ignore_collect(collection_path, config):
     """The fast ring does not even import slow files, some of which import much."""
-    return True if "not slow" in config.option.markexpr and collection_path.is_file() and is_slow(collection_path) else None
+    return True if "not slow" in config.option.markexpr and collection_path.suffix == ".py" and is_slow(collection_path) else None
 
 
 @pytest.hookimpl(tryfirst=True)

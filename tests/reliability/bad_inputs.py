@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from loopback import tar_of, zip_of
 from PIL import Image
-from worlds import CAMERAS, DAY, DRIVE, FRAME, GRIDS, IMPROVED, LASER, PHOTOS, SCAN, WEIGHTS, ZIP, grid, photo
+from worlds import CAMERAS, DAY, DRIVE, FRAME, GRIDS, IMPROVED, LASER, PHOTOS, SCAN, WEIGHTS, ZIP, grid, photo, written
 
 Damage = Callable[[bytes], bytes | None]
 """None: the file is removed."""
@@ -48,21 +48,14 @@ MISSING: dict[str, Damage] = {"missing": lambda _: None}
 NO_FILE = MISSING | OTHER_FILE
 
 
-def encoded(picture: Image.Image, kind: str = "png", **settings) -> bytes:
-    """A picture as a file."""
-    buffer = io.BytesIO()
-    picture.save(buffer, kind, **settings)
-    return buffer.getvalue()
-
-
 def redrawn(draw: Callable[[Image.Image], Image.Image]) -> Damage:
     """Another PNG made of the picture."""
-    return lambda whole: encoded(draw(Image.open(io.BytesIO(whole))))
+    return lambda whole: written(draw(Image.open(io.BytesIO(whole))).save, "png")
 
 
 def image(mode: str, kind: str = "png", **settings) -> Damage:
     """The same picture in another mode or format."""
-    return lambda whole: encoded(Image.open(io.BytesIO(whole)).convert(mode), kind, **settings)
+    return lambda whole: written(Image.open(io.BytesIO(whole)).convert(mode).save, kind, **settings)
 
 
 DEEP = redrawn(lambda picture: Image.fromarray(np.asarray(picture.convert("L")).astype(np.uint16) * 257))
@@ -83,9 +76,7 @@ def jpeg_of_gigapixels(whole: bytes) -> bytes:
 
 def npz_of(**arrays: np.ndarray) -> Damage:
     """Another archive of arrays."""
-    buffer = io.BytesIO()
-    np.savez(buffer, **arrays)
-    return text(buffer.getvalue())
+    return text(written(np.savez, **arrays))
 
 
 def npz_bomb(whole: bytes) -> bytes:

@@ -48,17 +48,11 @@ TIMED = ("latency_ms", "peak_mb")
 """How columns and rows begin or are called that no two runs share."""
 
 
-def _read_arrays(path: Path) -> None:
-    with np.load(path) as arrays:
-        for name in arrays.files:
-            arrays[name]
-
-
 READERS: dict[str, Callable[[Path], object]] = {
     ".json": lambda path: json.loads(path.read_bytes()),
     ".ipynb": lambda path: json.loads(path.read_bytes())["cells"],
     ".csv": lambda path: path.read_bytes() == b"\n" or (path.read_bytes().endswith(b"\n") and pd.read_csv(path).columns[0]),  # or empty
-    ".npz": _read_arrays,
+    ".npz": lambda path: [*np.load(path).values()],
     ".pt": load_checkpoint,
     ".html": lambda path: path.read_bytes().rstrip().endswith(b"</html>"),
     ".safetensors": lambda path: finished_card(path) or not path.with_name("trained.json").exists(),

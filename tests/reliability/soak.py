@@ -15,7 +15,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pandas as pd
 
@@ -28,51 +28,40 @@ TESTS = "tests/reliability"
 Row = dict[str, Any]
 
 
-class Part(NamedTuple):
-    """One command of the soak."""
-
-    about: str
-    """What the row of the table is called."""
-    words: list[str]
-    """What Python runs."""
-    examples: str = ""
-    """DUALDEPTH_EXAMPLES, how much is fuzzed."""
-
-
 def by_pytest(*words: str, marked: str = "not soak") -> list[str]:
     """A call of pytest on files, for the tests that are so marked."""
     return ["-m", "pytest", *words, "-m", marked, "-n", "0", "-p", "no:cacheprovider", "--timeout", "0"]
 
 
-PARTS = {
-    "kills": Part("training killed by SIGKILL and started again", ["-m", "tests.reliability.kills"]),
-    "chains": Part("chain killed by SIGKILL and started again", ["-m", "tests.reliability.chains"]),
-    "parity": Part("two processes train as one, stop, die and resume", by_pytest(f"{TESTS}/test_ddp.py", marked="slow or soak")),
-    "stops": Part("SIGTERM: checkpoint and one line", by_pytest(f"{TESTS}/test_stopping.py", marked="slow or soak")),
-    "disk": Part("full disks, closed folders, removed files", by_pytest(f"{TESTS}/test_disk.py")),
-    "degenerate": Part("degenerate frames and networks, finite gradients", by_pytest(f"{TESTS}/test_degenerate.py")),
-    "inputs": Part("bad inputs named in one line", by_pytest(f"{TESTS}/test_bad_inputs.py")),
-    "fuzz": Part("damaged files that crash no reader", by_pytest(TESTS, marked="fuzz"), examples="1000"),
+# what a row of the table is called, and what Python runs
+PARTS: dict[str, tuple[str, list[str]]] = {
+    "kills": ("training killed by SIGKILL and started again", ["-m", "tests.reliability.kills"]),
+    "chains": ("chain killed by SIGKILL and started again", ["-m", "tests.reliability.chains"]),
+    "parity": ("two processes train as one, stop, die and resume", by_pytest(f"{TESTS}/test_ddp.py", marked="slow or soak")),
+    "stops": ("SIGTERM: checkpoint and one line", by_pytest(f"{TESTS}/test_chains.py", "-k", "sigterm", marked="slow or soak")),
+    "disk": ("full disks, closed folders, removed files", by_pytest(f"{TESTS}/test_disk.py")),
+    "degenerate": ("degenerate frames and networks, finite gradients", by_pytest(f"{TESTS}/test_degenerate.py")),
+    "inputs": ("bad inputs named in one line", by_pytest(f"{TESTS}/test_bad_inputs.py")),
+    "fuzz": ("damaged files that crash no reader", by_pytest(TESTS, marked="fuzz")),
 }
 
 
-def run_part(name: str, part: Part) -> Row:
-    """Run a part and add up what it counted.
+def run_part(about: str, words: list[str]) -> Row:
+    """Run a part and add up what it counted; what is fuzzed gets 1000 examples.
 
     Returns:
         `test`, `tried`, `held`, `note`; what went wrong is a case that did not hold.
     """
     with tempfile.TemporaryDirectory() as folder:
         counts = Path(folder) / "counts.jsonl"
-        environment = os.environ | {"OMP_NUM_THREADS": "1", "DUALDEPTH_RELIABILITY": str(counts)}
-        environment |= {"DUALDEPTH_EXAMPLES": part.examples} if part.examples else {}
-        code = subprocess.run([sys.executable, *part.words], cwd=project_root(), env=environment, check=False).returncode
+        environment = os.environ | {"OMP_NUM_THREADS": "1", "DUALDEPTH_RELIABILITY": str(counts), "DUALDEPTH_EXAMPLES": "1000"}
+        code = subprocess.run([sys.executable, *words], cwd=project_root(), env=environment, check=False).returncode
         rows = [json.loads(line) for line in counts.read_text(encoding="utf-8").splitlines()] if counts.exists() else []
     tried, held = (sum(row[key] for row in rows) for key in ("tried", "held"))
-    note = rows[0]["note"] if "pytest" not in part.words and rows else f"{len(rows)} tests; {tried - held} cases went wrong"
+    note = rows[0]["note"] if "pytest" not in words and rows else f"{len(rows)} tests; {tried - held} cases went wrong"
     if not tried or (code and held == tried):
         tried, note = tried + 1, f"ended with {code} and counted too little; {note}"
-    return {"test": part.about, "tried": tried, "held": held, "note": note}
+    return {"test": about, "tried": tried, "held": held, "note": note}
 
 
 def save(name: str, row: Row, stamp: dict[str, Any]) -> None:
@@ -95,9 +84,9 @@ def main(argv: list[str] | None = None) -> int:
     run.stamp([])  # the revision before anything is written
     all_held = True
     for name in [name for name in PARTS if name in asked]:
-        print(f"▶ {name}: {PARTS[name].about}", flush=True)
+        print(f"▶ {name}: {PARTS[name][0]}", flush=True)
         began = time.monotonic()
-        row = run_part(name, PARTS[name])
+        row = run_part(*PARTS[name])
         seconds = round(time.monotonic() - began)
         save(name, row, {key: value for key, value in run.stamp([]).items() if key in STAMP} | {"seconds": seconds})
         holds = row["held"] == row["tried"]

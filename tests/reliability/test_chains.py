@@ -1,11 +1,16 @@
-"""The chain or a training is killed, or begun twice; the next run ends as if nothing had been. The soak does this for longer."""
+"""The chain or a training is killed, stopped or begun twice; the next run ends as if nothing had been. The soak does this for longer."""
 
 import os
+import re
 import signal
+import subprocess
+import sys
 
 import psutil
 import pytest
 
+from dualdepth.run import project_root
+from dualdepth.training.checkpoints import checkpoint_paths, last_checkpoint
 from tests.reliability import kills
 from tests.reliability.chains import Chain, is_held, try_kills
 from tests.small_chain import SmallChain
@@ -47,15 +52,6 @@ def chain(tmp_path):
     return small
 
 
-def begun(chain):
-    """A run of the chain that is at work on a notebook, and stays so while the file `wait` is there."""
-    (chain.root / "wait").touch()
-    running = chain.start()
-    kills.wait_until(lambda: running.poll() is not None or any((chain.root / "results").glob("*/notebooks/.*.part*")))
-    assert running.poll() is None, chain.said()
-    return running
-
-
 def test_a_chain_killed_at_random_ends_with_the_same_files(chain, counted):
     with counted():
         tallies = try_kills(chain, kills=2, each=2)
@@ -65,7 +61,10 @@ def test_a_chain_killed_at_random_ends_with_the_same_files(chain, counted):
 
 
 def test_a_live_run_stops_a_second_one_and_says_whose_it_is_until_it_is_killed(chain, counted):
-    running = begun(chain)
+    (chain.root / "wait").touch()  # which keeps it at work on its first notebook
+    running = chain.start()
+    kills.wait_until(lambda: running.poll() is not None or any((chain.root / "results").glob("*/notebooks/.*.part*")))
+    assert running.poll() is None, chain.said()
     assert "snakemake" in psutil.Process(running.pid).cmdline()  # which the command has become
     with counted():
         done = chain.reproduce()
@@ -82,3 +81,31 @@ def test_killed_trainings_of_both_stages_end_with_the_same_weights(tmp_path):
     assert not any(tally.wrong for tally in tallies)
     assert len(tallies) >= 2  # both stages
     assert sum(tally.special for tally in tallies) > 0
+
+
+@pytest.mark.parametrize(
+    "send",
+    [
+        pytest.param(os.killpg, id="its group with loader workers"),
+        pytest.param(os.kill, marks=pytest.mark.soak, id="its own process"),
+    ],
+)
+def test_sigterm_ends_a_training_with_a_checkpoint_and_one_line(send, tmp_path, counted):
+    run = kills.make_checkout(tmp_path, lr={"batch_size": 2, "epochs": 200})
+    words = ["-m", "dualdepth.cli", "train", "--profile", "own.yaml", "--variant", "lr"]
+    environment = os.environ | {"PYTHONPATH": str(project_root()), "OMP_NUM_THREADS": "1"}
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True, "start_new_session": True}
+    process = subprocess.Popen([sys.executable, *words], cwd=tmp_path, env=environment, **pipes)
+    try:
+        kills.wait_until(lambda: checkpoint_paths(run.training("lr", 0)) or process.poll() is not None)
+        send(process.pid, signal.SIGTERM)
+        said = process.communicate(timeout=120)[0]
+    finally:
+        process.kill()
+    with counted():
+        last = said.replace("\r", "\n").strip().splitlines()[-1]
+        stopped = re.fullmatch(r"stopped at step (\d+) of \d+; run the same command to go on", last)
+        assert process.returncode == 1 and stopped, said[-3000:]
+        assert said.count("stopped at step") == 1 and "Traceback" not in said
+        assert last_checkpoint(run.training("lr", 0))["step"] == int(stopped[1])
+        assert not run.weights("lr", 0).exists()
