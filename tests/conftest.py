@@ -1,6 +1,7 @@
 """What all tests share."""
 
 import os
+import re
 from pathlib import Path
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before torch: spinning threads make a busy machine ten times slower
@@ -16,17 +17,35 @@ from small_kitti import write_calibration, write_drive
 REPOSITORY = Path(__file__).resolve().parents[1]
 SLOW = (
     *("data_scripts/test_make_miniature.py", "data_scripts/test_miniature_geometry.py", "data_scripts/test_own_camera.py"),
-    *("data_scripts/own/test_checks.py", "inference/test_export.py", "inference/test_predict.py", "tables/test_table_backbone.py"),
-    *("tables/test_figures.py", "test_report.py", "data_scripts/test_export_labels.py", "data_scripts/own/test_camera.py"),
+    *("data_scripts/own/test_checks.py", "inference/test_export.py", "tables/test_table_backbone.py", "tables/test_table_sharpness.py"),
+    *("tables/test_table_odometry.py", "tables/test_table_make3d.py", "tables/test_figures.py", "test_report.py"),
+    *("data_scripts/test_export_labels.py", "data_scripts/own/test_camera.py"),
+    "networks/test_encoders.py::test_any_hierarchical_backbone",
+    "networks/test_encoders.py::test_imagenet_weights_are_taken_from_a_local_folder",
+    "test_cli_evaluate.py::test_scores_need_no_torch",
+    "test_model.py::test_disparities_are_the_networks_finest",
+    "test_model.py::test_released_weights_give_their_network_back",
+    "test_model.py::test_weights_that_are_not_of_the_cards_network",
+    "test_model.py::test_what_sa_attention_does_is_read_from_the_card",
 )
-"""Files whose tests are slow, or share a slow fixture, beside those that say so themselves."""
+"""Files and tests that are slow, or share a slow fixture, or are many, beside those that say so themselves."""
+
+
+def is_slow(path):
+    """Whether all tests of a file are."""
+    return path.as_posix().endswith(SLOW) or re.search(r"^pytestmark = .*mark\.slow", path.read_text(encoding="utf-8"), re.MULTILINE)
+
+
+def pytest_ignore_collect(collection_path, config):
+    """The fast ring does not even import slow files, some of which import much."""
+    return True if "not slow" in config.option.markexpr and collection_path.suffix == ".py" and is_slow(collection_path) else None
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Mark the tests of these files."""
+    """Mark these tests."""
     for item in items:
-        if item.nodeid.partition("::")[0].removeprefix("tests/") in SLOW:
+        if item.nodeid.removeprefix("tests/").startswith(SLOW):
             item.add_marker(pytest.mark.slow)
 
 

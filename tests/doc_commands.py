@@ -1,7 +1,6 @@
 """Commands as README, CONTRIBUTING and docs/ print them: found, taken apart, parsed by the real parsers, run on small data."""
 
 import argparse
-import contextlib
 import importlib
 import re
 import shlex
@@ -75,24 +74,6 @@ class ParsedError(BaseException):
     """Raised in place of running what was parsed."""
 
 
-@contextlib.contextmanager
-def parse_only(monkeypatch) -> Iterator[None]:
-    """Inside, a program parses its options and does nothing else."""
-    original = argparse.ArgumentParser.parse_args
-
-    def parse_args(self: argparse.ArgumentParser, *arguments: object, **options: object) -> None:
-        original(self, *arguments, **options)
-        raise ParsedError
-
-    with monkeypatch.context() as patch:
-        patch.setattr(argparse.ArgumentParser, "parse_args", parse_args)
-        try:
-            yield
-        except ParsedError:
-            return
-        raise AssertionError("no options were parsed")
-
-
 def program(words: list[str]) -> tuple[Callable[[list[str]], int | None], list[str]]:
     """`main` and arguments of a command of this project: `dualdepth …`, `python data_scripts/x.py …`, `python -m dualdepth.x …`."""
     if words[0] == "dualdepth":
@@ -103,15 +84,18 @@ def program(words: list[str]) -> tuple[Callable[[list[str]], int | None], list[s
     return importlib.import_module(words[1].removesuffix(".py").replace("/", ".")).main, words[2:]
 
 
-def dry_program(words: list[str], monkeypatch) -> None:
-    """Parse the options by the program's own parser."""
-    main, arguments = program(words)
-    if "--help" in arguments:
-        with pytest.raises(SystemExit, match="0"):
-            main(arguments)
-        return
-    with parse_only(monkeypatch):
+def dry_program(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Parse the options by the program's own parser, and do nothing else."""
+    (main, arguments), parse = program(words), argparse.ArgumentParser.parse_args
+
+    def only_parse(self: argparse.ArgumentParser, *given: object) -> None:
+        parse(self, *given)
+        raise ParsedError
+
+    with monkeypatch.context() as patch, pytest.raises((ParsedError, SystemExit)) as end:
+        patch.setattr(argparse.ArgumentParser, "parse_args", only_parse)
         main(arguments)
+    assert end.type is ParsedError or ("--help" in arguments and end.value.code == 0)
     if "--" in arguments and "--profile" in (rest := arguments[arguments.index("--") :]):
         assert (REPOSITORY / rest[rest.index("--profile") + 1] / "config.yaml").is_file()
 

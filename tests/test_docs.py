@@ -76,8 +76,8 @@ def named(command: Command) -> str:
 
 
 @pytest.fixture
-def small_world(tmp_path, monkeypatch, kitti_factory, write_scan):
-    """The files that the pages' examples name, small, in the working directory; `replace` puts them in place of a reader's folders."""
+def small_world(tmp_path, monkeypatch, kitti_factory, write_scan, encoder):
+    """The files that the pages' examples name, small, in the working directory; gives what puts them in place of a reader's folders."""
     monkeypatch.chdir(tmp_path)
     root, rng = kitti_factory({DRIVE: range(2)}), np.random.default_rng(0)
     for index in range(2):
@@ -92,12 +92,10 @@ def small_world(tmp_path, monkeypatch, kitti_factory, write_scan):
     write_trajectory("poses/09.txt", poses)
     write_trajectory("09.txt", poses)
     cv2.imwrite("photo.jpg", rng.integers(0, 255, (120, 200, 3), np.uint8))
-    model = DepthModel({"network": "hr", "hr_size": [192, 288]}, device="cpu")
-    with_heads(model)
+    model = with_heads(DepthModel({"network": "hr", "encoder": encoder, "hr_size": [192, 288]}, device="cpu"))
     model.save_pretrained("work/miniature/runs/lr/seed0")
     shutil.copytree("work/miniature/runs/lr", "work/miniature/runs/dual")
-    replace = {"/data/kitti_raw": str(root)}
-    return lambda words: [replace.get(word, word) for word in words]
+    return lambda words: [str(root) if word == "/data/kitti_raw" else word for word in words]
 
 
 def test_there_are_commands():
@@ -111,13 +109,13 @@ def in_its_ring(command: Command) -> object:
 
 
 @pytest.mark.parametrize("command", [in_its_ring(command) for command in fenced_commands()])
-def test_every_command_runs_on_small_data_or_is_dry_run(command, small_world, monkeypatch, capsys):
+def test_every_command_runs_on_small_data_or_is_dry_run(command, request, monkeypatch, capsys):
     entry = entry_of(command)
     assert entry, f"{named(command)}: a new command; add it to EXECUTED or DRY in tests/test_docs.py"
     if entry in DRY:
         DRY[entry](command.words, monkeypatch)
         return
-    main, arguments = program(small_world(command.words))
+    main, arguments = program(request.getfixturevalue("small_world")(command.words))
     try:
         code = main(arguments)
     except SystemExit as stop:
@@ -136,12 +134,6 @@ def test_commands_in_prose_are_known(command, monkeypatch):
     DRY.get(entry, dry_program)(command.words, monkeypatch)
 
 
-def links(page):
-    """Relative link targets of a page, as (path, anchor)."""
-    targets = [target for target in re.findall(r"\]\(([^)\s]+)\)", prose(page)) if not re.match(r"[a-z]+:", target)]
-    return [target.partition("#")[::2] for target in targets]
-
-
 def anchors(page):
     """Anchors of a page's headings, as GitHub makes them."""
     headings = re.findall(r"^#+ (.*)$", prose(page), re.MULTILINE)
@@ -150,7 +142,8 @@ def anchors(page):
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_links_lead_to_files_and_headings(page):
-    for path, anchor in links(page):
+    for link in re.findall(r"\]\((?![a-z]+:)([^)\s]+)\)", prose(page)):
+        path, _, anchor = link.partition("#")
         target = page.parent / path if path else page
         assert target.exists(), f"{page.name} links to {path}, which is not there"
         assert not anchor or anchor in anchors(target), f"{page.name} links to #{anchor} of {target.name}, which has no such heading"
@@ -173,19 +166,16 @@ def setting_names(model=Profile, prefix=""):
                 yield from setting_names(kind, f"{prefix}{name}.")
 
 
-SETTINGS = set(setting_names())
-
-
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_settings_that_are_named_exist(page):
-    sections = {name for name in SETTINGS if "." not in name}
-    leaves = {name.rpartition(".")[2] for name in SETTINGS}
+    settings = set(setting_names())
+    leaves = {name.rpartition(".")[2] for name in settings}
     for code in inline_code(page):
         name, colon, _ = code.partition(": ")
         if not re.fullmatch(r"[a-z_]\w*(\.\w+)*", name) or name.endswith((".py", ".yaml", ".json", ".csv")):
             continue
-        if name.partition(".")[0] in sections and "." in name:
-            assert name in SETTINGS, f"{page.name} names the setting {name}, which is none"
+        if name.partition(".")[0] in settings and "." in name:
+            assert name in settings, f"{page.name} names the setting {name}, which is none"
         elif colon:
             assert name in leaves, f"{page.name} names the setting {name}, which is none"
 

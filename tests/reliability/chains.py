@@ -17,7 +17,6 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -28,7 +27,8 @@ from dualdepth.files import locked
 from dualdepth.run import project_root
 from dualdepth.training.checkpoints import load_checkpoint
 from dualdepth.training.weights import finished_card
-from tests.reliability.counting import count_kills
+from tests.reliability.counting import Tally, count_kills, until_killed
+from tests.small_chain import SmallChain
 from tests.small_encoder import save_encoder
 
 PROFILE = {
@@ -47,61 +47,74 @@ PROFILE = {
 TIMED = ("latency_ms", "peak_mb")
 """How columns and rows begin or are called that no two runs share."""
 
-Outcome = dict[str, bytes]
-"""What a finished chain leaves, by name."""
+
+READERS: dict[str, Callable[[Path], object]] = {
+    ".json": lambda path: json.loads(path.read_bytes()),
+    ".ipynb": lambda path: json.loads(path.read_bytes())["cells"],
+    ".csv": lambda path: path.read_bytes() == b"\n" or (path.read_bytes().endswith(b"\n") and pd.read_csv(path).columns[0]),  # or empty
+    ".npz": lambda path: [*np.load(path).values()],
+    ".pt": load_checkpoint,
+    ".html": lambda path: path.read_bytes().rstrip().endswith(b"</html>"),
+    ".safetensors": lambda path: finished_card(path) or not path.with_name("trained.json").exists(),
+}
+"""How to read each kind of file that a chain writes; an error or a false value means that it is not whole."""
 
 
-class Tally(NamedTuple):
-    """What became of the kills of one chain."""
+class Chain(SmallChain):
+    """The real chain of a small profile: all notebooks, both stages of a small network."""
 
-    kills: int
-    orphaning: int
-    """Kills of the group alone."""
-    identical: bool
-    """All that it leaves, to the byte; nothing half-written after any kill, nor at the end."""
-    said: str
-    """What was wrong."""
-
-
-class Chain:
-    """A checkout whose chain can be started.
-
-    Args:
-        root: with Snakefile, notebooks and profile.
-        profile: its file.
-        outcome: what a finished chain leaves.
-        broken: files below `root` that are half-written.
-        path: a folder that goes before PATH.
-    """
-
-    def __init__(
-        self, root: Path, profile: Path, outcome: Callable[[], Outcome], broken: Callable[[], list[str]], path: Path | None = None
-    ) -> None:
-        self.root, self.profile, self.outcome, self.broken = root, profile, outcome, broken
-        self.environment = os.environ | {"PYTHONPATH": str(project_root())}
-        # what the notebooks' shells find as `dualdepth`
-        self.environment["PATH"] = os.pathsep.join([*([str(path)] if path else []), str(Path(sys.executable).parent), os.environ["PATH"]])
-        self.work = root / "work" / profile.stem
-
-    def command(self, *words: str) -> list[str]:
-        """`dualdepth …` of the profile."""
-        return [sys.executable, "-m", "dualdepth.cli", *words, "--profile", str(self.profile)]
+    @classmethod
+    def make(cls, root: Path) -> "Chain":
+        for name in ("Snakefile", "environment.lock"):
+            shutil.copyfile(project_root() / name, root / name)
+        for name in ("notebooks", "docs"):
+            shutil.copytree(project_root() / name, root / name)
+        (root / "bin").symlink_to(Path(sys.executable).parent)  # what the notebooks' shells find as `dualdepth`
+        training = PROFILE["training"] | {"encoder": save_encoder(root / "encoder")}
+        (root / "own.yaml").write_text(json.dumps(PROFILE | {"training": training}))  # JSON is YAML
+        return cls(root)
 
     def start(self) -> subprocess.Popen[bytes]:
         """Start it; what it says goes to `said.txt`."""
+        command = [sys.executable, "-m", "dualdepth.cli", "reproduce", "--profile", str(self.profile)]
         with open(self.root / "said.txt", "wb") as said:
-            return subprocess.Popen(
-                self.command("reproduce"), cwd=self.root, env=self.environment, stdout=said, stderr=said, start_new_session=True
-            )
+            return subprocess.Popen(command, cwd=self.root, env=self.environment, stdout=said, stderr=said, start_new_session=True)
 
     def said(self) -> str:
         """The end of what the last run said."""
         return (self.root / "said.txt").read_text(errors="replace")[-2000:]
 
-    def clear(self) -> None:
-        """Remove all that it made."""
-        for folder in ("work", "results", ".snakemake"):
-            shutil.rmtree(self.root / folder, ignore_errors=True)
+    def outcome(self) -> dict[str, bytes]:
+        """What a finished chain leaves, by name: tables without what is timed, prepared files, weights."""
+        found = {}
+        for pattern in ("work/*/prepared/*", "work/*/runs/*/*/*.safetensors"):
+            found |= {str(path.relative_to(self.root)): path.read_bytes() for path in self.root.glob(pattern) if path.is_file()}
+        for path in self.root.glob("results/*/tables/*.csv"):
+            if path.name == "backbone.csv":
+                table = pd.read_csv(path)
+                found[path.name] = table[[name for name in table if not name.startswith(TIMED)]].to_csv(index=False).encode()
+            else:
+                lines = path.read_bytes().splitlines(keepends=True)
+                found[path.name] = b"".join(line for line in lines if not any(name.encode() in line for name in TIMED))
+        found["pages"] = "\n".join(sorted(p.name for p in self.root.glob("results/*/notebooks/*"))).encode()
+        return found
+
+    def broken(self) -> list[str]:
+        """Files under their final names that are not whole."""
+        found = []
+        for path in sorted([*self.root.glob("work/*/**/*"), *self.root.glob("results/*/**/*")]):
+            read = READERS.get(path.suffix)
+            if read is None or not path.is_file() or ".part" in path.name or ".failed" in path.name:
+                continue
+            try:
+                whole = read(path)
+            except FileNotFoundError:  # an orphan's checkpoint, replaced by its next
+                continue
+            except Exception as error:  # each reader has errors of its own
+                whole, path = False, f"{path} ({error})"
+            if whole is False or whole == "":
+                found.append(f"half-written: {path}")
+        return found
 
 
 def is_held(lock: Path) -> bool:
@@ -131,12 +144,8 @@ def _group(process: psutil.Process) -> int | None:
     return None
 
 
-def kill_at_random(chain: Chain, kills: int, each: int, seconds: float, rng: random.Random) -> tuple[int, int, list[str]]:
-    """Start a chain, kill it, start it again … and at last let it end.
-
-    Returns:
-        Kills, those of the group alone, and what was wrong.
-    """
+def kill_at_random(chain: Chain, kills: int, each: int, seconds: float, rng: random.Random) -> Tally:
+    """Start a chain, kill it, start it again … and at last let it end; special kills are those of its group alone."""
     done, orphaning, wrong = 0, 0, []
     while done < kills:
         running, moment = chain.start(), time.monotonic() + rng.uniform(0.02, min(0.8, 2 / each)) * seconds  # spread over the chain
@@ -150,104 +159,35 @@ def kill_at_random(chain: Chain, kills: int, each: int, seconds: float, rng: ran
         kill(running, everything)
         done, orphaning = done + 1, orphaning + (not everything)
         wrong += chain.broken()
-        if everything and is_held(chain.work / "lock"):
+        if everything and is_held(chain.root / "work/own/lock"):
             wrong.append("the lock is still held")
         print(f"  kill {done} of {kills} after {'everything' if everything else 'its group'} ran; {len(wrong)} wrong", flush=True)
     if chain.start().wait():
         wrong.append(f"did not end well: {chain.said()}")
-    return done, orphaning, wrong + chain.broken()
+    return Tally(done, orphaning, wrong + chain.broken())
 
 
-def try_kills(chain: Chain, kills: int, each: int, seed: int = 0) -> list[Tally]:
+def try_kills(chain: Chain, kills: int, each: int) -> list[Tally]:
     """Run a chain unkilled, then again and again with up to `each` kills, until there were `kills`.
 
     Raises:
         RuntimeError: the unkilled one does not end well.
     """
-    rng, tallies, began = random.Random(seed), [], time.monotonic()
+    rng, began = random.Random(0), time.monotonic()
     if chain.start().wait():
         raise RuntimeError(chain.said())
     expected, seconds = chain.outcome(), time.monotonic() - began
-    while sum(tally.kills for tally in tallies) < kills:
-        chain.clear()
-        left = kills - sum(tally.kills for tally in tallies)
-        done, orphaning, wrong = kill_at_random(chain, min(each, left), each, seconds, rng)
-        found = chain.outcome()
-        wrong += [f"{name} differs" for name in sorted(expected.keys() | found.keys()) if expected.get(name) != found.get(name)]
-        tallies.append(Tally(done, orphaning, not wrong, "; ".join(wrong)))
-    return tallies
 
+    def kill_one(number: int, kills: int) -> Tally:
+        for folder in ("work", "results", ".snakemake"):
+            shutil.rmtree(chain.root / folder, ignore_errors=True)
+        tally, found = kill_at_random(chain, kills, each, seconds, rng), chain.outcome()
+        tally.wrong.extend(f"{name} differs" for name in sorted(expected.keys() | found.keys()) if expected.get(name) != found.get(name))
+        return tally
 
-def make_chain(root: Path) -> Chain:
-    """The real chain of a small profile: all notebooks, both stages of a small network."""
-    for name in ("Snakefile", "environment.lock"):
-        shutil.copyfile(project_root() / name, root / name)
-    for name in ("notebooks", "docs"):
-        shutil.copytree(project_root() / name, root / name)
-    profile, encoder = root / "killed.yaml", save_encoder(root / "encoder")
-    profile.write_text(json.dumps(PROFILE | {"training": PROFILE["training"] | {"encoder": encoder}}))  # JSON is YAML
-    return Chain(root, profile, lambda: outcome(root), lambda: broken(root))
-
-
-def outcome(root: Path) -> Outcome:
-    """Tables without what is timed, prepared files, weights."""
-    files = [p for pattern in ("work/*/prepared/*", "work/*/runs/*/*/*.safetensors") for p in sorted(root.glob(pattern)) if p.is_file()]
-    found = {str(path.relative_to(root)): path.read_bytes() for path in files}
-    for path in sorted(root.glob("results/*/tables/*.csv")):
-        if path.name == "backbone.csv":
-            table = pd.read_csv(path)
-            found[path.name] = table[[name for name in table if not name.startswith(TIMED)]].to_csv(index=False).encode()
-        else:
-            lines = path.read_bytes().splitlines(keepends=True)
-            found[path.name] = b"".join(line for line in lines if not any(name.encode() in line for name in TIMED))
-    found["pages"] = "\n".join(sorted(p.name for p in root.glob("results/*/notebooks/*"))).encode()
-    return found
-
-
-def _read_arrays(path: Path) -> None:
-    with np.load(path) as arrays:
-        for name in arrays.files:
-            arrays[name]
-
-
-READERS: dict[str, Callable[[Path], object]] = {
-    ".json": lambda path: json.loads(path.read_bytes()),
-    ".ipynb": lambda path: json.loads(path.read_bytes())["cells"],
-    ".csv": lambda path: path.read_bytes() == b"\n" or (path.read_bytes().endswith(b"\n") and pd.read_csv(path).columns[0]),  # or empty
-    ".npz": _read_arrays,
-    ".pt": load_checkpoint,
-    ".html": lambda path: path.read_bytes().rstrip().endswith(b"</html>"),
-    ".safetensors": lambda path: finished_card(path) or not path.with_name("trained.json").exists(),
-}
-"""How to read each kind of file that a chain writes; an error or a false value means that it is not whole."""
-
-
-def broken(root: Path) -> list[str]:
-    """Files under their final names that are not whole."""
-    found = []
-    for path in sorted([*root.glob("work/*/**/*"), *root.glob("results/*/**/*")]):
-        read = READERS.get(path.suffix)
-        if read is None or not path.is_file() or ".part" in path.name or ".failed" in path.name:
-            continue
-        try:
-            whole = read(path)
-        except FileNotFoundError:  # an orphan's checkpoint, replaced by its next
-            continue
-        except Exception as error:  # each reader has errors of its own
-            whole, path = False, f"{path} ({error})"
-        if whole is False or whole == "":
-            found.append(f"half-written: {path}")
-    return found
-
-
-def counted(root: Path, kills: int, each: int) -> tuple[list[int], int, str]:
-    """As `count_kills` takes it."""
-    tallies = try_kills(make_chain(root), kills, each)
-    print(*[tally.said for tally in tallies if tally.said], sep="\n")
-    orphaning, held = sum(t.orphaning for t in tallies), sum(t.kills for t in tallies if t.identical)
-    note = f"chains of all notebooks, {orphaning} kills left kernels behind; tables, prepared files, weights to the byte"
-    return [t.kills for t in tallies], held, note
+    return until_killed(kills, each, kill_one)
 
 
 if __name__ == "__main__":
-    sys.exit(count_kills("chain killed by SIGKILL and started again", 20, 10, counted))
+    note = "chains of all notebooks, {} kills left kernels behind; tables, prepared files, weights to the byte"
+    sys.exit(count_kills(lambda root, *kills: try_kills(Chain.make(root), *kills), note, kills=20, each=10))

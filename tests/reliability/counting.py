@@ -6,6 +6,17 @@ import os
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
+
+
+class Tally(NamedTuple):
+    """What became of the kills of one training, or of one chain."""
+
+    kills: int
+    special: int
+    """Those that the report counts apart."""
+    wrong: list[str]
+    """What was not as without kills."""
 
 
 def write_count(test: str, tried: int, held: int, note: str = "") -> None:
@@ -13,30 +24,36 @@ def write_count(test: str, tried: int, held: int, note: str = "") -> None:
 
     One write to a file opened for appending: lines of tests that run side by side do not mix.
     """
-    path = os.environ.get("DUALDEPTH_RELIABILITY")
-    if not path:
-        return
-    file = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
-    try:
-        os.write(file, (json.dumps({"test": test, "tried": tried, "held": held, "note": note}) + "\n").encode())
-    finally:
-        os.close(file)
+    if path := os.environ.get("DUALDEPTH_RELIABILITY"):
+        with open(path, "ab", buffering=0) as file:
+            file.write((json.dumps({"test": test, "tried": tried, "held": held, "note": note}) + "\n").encode())
 
 
-def count_kills(test: str, kills: int, each: int, try_kills: Callable[[Path, int, int], tuple[list[int], int, str]]) -> int:
+def until_killed(kills: int, each: int, kill_one: Callable[[int, int], Tally]) -> list[Tally]:
+    """Kill one after the other by `kill_one(number, kills)`, with at most `each` kills of one, until there were `kills`."""
+    tallies = []
+    while (left := kills - sum(tally.kills for tally in tallies)) > 0:
+        tallies.append(kill_one(len(tallies), min(each, left)))
+        print(f"  {kills - left + tallies[-1].kills} of {kills} kills, {'; '.join(tallies[-1].wrong) or 'the same'}", flush=True)
+    return tallies
+
+
+def count_kills(try_kills: Callable[[Path, int, int], list[Tally]], note: str, kills: int, each: int) -> int:
     """Kill as often as the command line asks and count.
 
     Args:
-        test: the row of the report.
+        try_kills: does it in a folder.
+        note: for the report, with the number of special kills at its {}.
         kills, each: how often, and how often at most one that runs, unless the command line says otherwise.
-        try_kills: gives how many kills were tried, one number a thing that was killed; how many of all were harmless; a note.
     """
-    parser = argparse.ArgumentParser(description=test)
+    parser = argparse.ArgumentParser()
     parser.add_argument("--kills", type=int, default=kills)
     parser.add_argument("--each", type=int, default=each, help="kills of one, at most")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as root:
-        tried, held, note = try_kills(Path(root), arguments.kills, arguments.each)
-    write_count(test, sum(tried), held, f"{len(tried)} {note}")
-    print(f"{held} of {sum(tried)} kills harmless: {len(tried)} {note}")
-    return 0 if held == sum(tried) else 1
+        tallies = try_kills(Path(root), arguments.kills, arguments.each)
+    tried, held = sum(tally.kills for tally in tallies), sum(tally.kills for tally in tallies if not tally.wrong)
+    note = f"{len(tallies)} {note.format(sum(tally.special for tally in tallies))}"
+    write_count("kills", tried, held, note)
+    print(f"{held} of {tried} kills harmless: {note}")
+    return 0 if held == tried else 1

@@ -15,9 +15,9 @@ import shutil
 import signal
 import sys
 import time
+from collections.abc import Callable
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import NamedTuple
 
 import pandas as pd
 import psutil
@@ -28,27 +28,17 @@ from dualdepth.run import Run
 from dualdepth.training.checkpoints import checkpoint_paths
 from dualdepth.training.log import read_log
 from dualdepth.training.variants import train_variant
-from tests.reliability.counting import count_kills
+from tests.reliability.counting import Tally, count_kills, until_killed
 from tests.small_checkout import checkout_of, prepare
 from tests.small_encoder import save_encoder
 from tests.small_kitti import write_calibration, write_drive
 
-FRAMES = 10
+FRAMES, VARIANTS = 10, ("lr", "dual")
 IMPORTED = [
     *("dualdepth.training.variants", "matplotlib.figure", "accelerate", "kornia", "torch._inductor", "torch.utils.tensorboard"),
     *("transformers.models.resnet.modeling_resnet", "huggingface_hub.serialization"),
 ]
 """What a training imports, also when it is under way."""
-
-
-class Tally(NamedTuple):
-    """What became of the trials of one training."""
-
-    kills: int
-    while_writing: int
-    """Kills that left a half-written file behind."""
-    identical: bool
-    """Weights to the bit, and the log but for its speed."""
 
 
 def make_checkout(root: Path, **training: object) -> Run:
@@ -63,18 +53,31 @@ def make_checkout(root: Path, **training: object) -> Run:
     return run
 
 
-def start(run: Run, variant: str, seed: int, **environment: str) -> BaseProcess:
-    """Train in a process of its own group, with more in its environment."""
+def wait_until(true: Callable[[], object], seconds: float = 120) -> None:
+    """Wait for something.
+
+    Raises:
+        TimeoutError: it takes too long.
+    """
+    until = time.monotonic() + seconds
+    while not true():
+        if time.monotonic() > until:
+            raise TimeoutError(f"still waiting after {seconds} s")
+        time.sleep(0.005)
+
+
+def start(run: Run, variant: str, **environment: str) -> BaseProcess:
+    """Train seed 0 in a process of its own group, with more in its environment."""
     server = multiprocessing.get_context("forkserver")
     server.set_forkserver_preload(IMPORTED)
-    process = server.Process(target=_train, args=(run, variant, seed, environment))
+    process = server.Process(target=_train, args=(run, variant, environment))
     process.start()
     while process.is_alive() and os.getpgid(process.pid) != process.pid:
         time.sleep(0.0005)
     return process
 
 
-def _train(run: Run, variant: str, seed: int, environment: dict[str, str]) -> None:
+def _train(run: Run, variant: str, environment: dict[str, str]) -> None:
     os.setsid()
     os.environ.update(environment)
     with open(os.devnull, "w") as nowhere:
@@ -82,27 +85,25 @@ def _train(run: Run, variant: str, seed: int, environment: dict[str, str]) -> No
         os.dup2(nowhere.fileno(), 2)
     multiprocessing.set_start_method("fork", force=True)  # of loader processes, as in any training; a server's children have a server's
     torch.set_num_threads(1)  # as each of several processes has; how a sum is split decides its last digits
-    train_variant(run, variant, seed)
+    train_variant(run, variant, 0)
 
 
-def finish(process: BaseProcess, seconds: float = 300) -> None:
-    """Wait for a process.
+def finish(process: BaseProcess) -> None:
+    """Wait for a training.
 
     Raises:
         RuntimeError: it failed, or takes too long.
     """
-    process.join(seconds)
+    process.join(300)
     if process.exitcode is None:
         os.killpg(process.pid, signal.SIGKILL)
-        raise RuntimeError(f"the training did not end within {seconds} s")
-    if process.exitcode:
-        raise RuntimeError(f"the training ended with {process.exitcode}")
+    if process.exitcode != 0:
+        raise RuntimeError(f"the training ended with {process.exitcode} within 300 s")
 
 
-def outcome(run: Run, variant: str, seed: int) -> tuple[bytes, pd.DataFrame]:
+def outcome(run: Run, variant: str) -> tuple[bytes, pd.DataFrame]:
     """Weights and log of a finished training."""
-    folder = run.training(variant, seed)
-    return run.weights(variant, seed).read_bytes(), read_log(folder / "log.csv").drop(columns="steps_per_second")
+    return run.weights(variant, 0).read_bytes(), read_log(run.training(variant, 0) / "log.csv").drop(columns="steps_per_second")
 
 
 def newest_step(folder: Path) -> int:
@@ -125,15 +126,15 @@ def caught_writing(process: BaseProcess, folder: Path) -> bool:
     return False
 
 
-def kill_at_random(run: Run, variant: str, seed: int, kills: int, seconds: float, rng: random.Random) -> tuple[int, int]:
+def kill_at_random(run: Run, variant: str, kills: int, seconds: float, rng: random.Random) -> tuple[int, int]:
     """Start a training, kill it, start it again … and at last let it end; `seconds` are those of two of its steps.
 
     Returns:
         Kills, and how many of them left a half-written file.
     """
-    folder, done, torn = run.training(variant, seed), 0, 0
+    folder, done, torn = run.training(variant, 0), 0, 0
     while done < kills:
-        process = start(run, variant, seed)
+        process = start(run, variant)
         # moments are spread over steps, since the time that a start takes is a busy machine's
         step, aim, moment = newest_step(folder) + rng.randrange(3), rng.random() < 0.5, None
         while process.is_alive():
@@ -148,7 +149,7 @@ def kill_at_random(run: Run, variant: str, seed: int, kills: int, seconds: float
         os.killpg(process.pid, signal.SIGKILL)
         process.join()
         done, torn = done + 1, torn + any(folder.glob(".*.part*"))
-    finish(start(run, variant, seed))
+    finish(start(run, variant))
     return done, torn
 
 
@@ -158,37 +159,28 @@ def try_kills(root: Path, kills: int, each: int, seed: int = 0, **training: obje
     Stage 2 starts from the stage 1 that was never killed; `training` are changes of both, as `make_checkout` takes them.
     """
     keep_freed_memory()
-    run, rng = make_checkout(root, **training), random.Random(seed)
-    expected, seconds, tallies = {}, {}, []
-    for variant in ("lr", "dual"):
+    run, rng, expected, seconds = make_checkout(root, **training), random.Random(seed), {}, {}
+    for variant in VARIANTS:
         began = time.monotonic()
-        finish(start(run, variant, 0))
-        expected[variant] = outcome(run, variant, 0)
+        finish(start(run, variant))
+        expected[variant] = outcome(run, variant)
         seconds[variant] = 2 * (time.monotonic() - began) / len(expected[variant][1])
-    while sum(tally.kills for tally in tallies) < kills:
-        variant = ("lr", "dual")[len(tallies) % 2]
+
+    def kill_one(number: int, kills: int) -> Tally:
+        variant = VARIANTS[number % 2]
         folder, kept = run.training(variant, 0), root / "kept"
         folder.rename(kept)
-        left = kills - sum(tally.kills for tally in tallies)
-        done, torn = kill_at_random(run, variant, 0, min(each, left), seconds[variant], rng)
-        weights, log = outcome(run, variant, 0)
-        same = weights == expected[variant][0] and log.equals(expected[variant][1])
-        leftovers = [path for path in folder.rglob(".*.part*")]
-        tallies.append(Tally(done, torn, same and not leftovers))
-        said = "the same" if tallies[-1].identical else "DIFFERENT"
-        print(f"  {sum(tally.kills for tally in tallies)} of {kills} kills, {said}", flush=True)
+        done, torn = kill_at_random(run, variant, kills, seconds[variant], rng)
+        weights, log = outcome(run, variant)
+        wrong = [f"left: {path}" for path in folder.rglob(".*.part*")]
+        wrong += ["weights differ"] * (weights != expected[variant][0]) + ["the log differs"] * (not log.equals(expected[variant][1]))
         shutil.rmtree(folder)
         kept.rename(folder)
-    return tallies
+        return Tally(done, torn, wrong)
 
-
-def counted(root: Path, kills: int, each: int) -> tuple[list[int], int, str]:
-    """As `count_kills` takes it."""
-    tallies = try_kills(root, kills, each)
-    torn, held = sum(t.while_writing for t in tallies), sum(t.kills for t in tallies if t.identical)
-    note = f"trainings of both stages, {torn} kills in the middle of writing a file; weights to the bit, log but for its speed"
-    return [t.kills for t in tallies], held, note
+    return until_killed(kills, each, kill_one)
 
 
 if __name__ == "__main__":
-    sys.exit(count_kills("training killed by SIGKILL and started again", 50, 4, counted))
+    note = "trainings of both stages, {} kills in the middle of writing a file; weights to the bit, log but for its speed"
+    sys.exit(count_kills(try_kills, note, kills=50, each=4))

@@ -15,7 +15,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pandas as pd
 
@@ -28,61 +28,47 @@ TESTS = "tests/reliability"
 Row = dict[str, Any]
 
 
-class Part(NamedTuple):
-    """One command of the soak."""
-
-    about: str
-    """The row of a part that counts by its tests; else what is said while it runs."""
-    words: list[str]
-    """What Python runs."""
-    examples: str = ""
-    """DUALDEPTH_EXAMPLES, how much is fuzzed."""
-
-
 def by_pytest(*words: str, marked: str = "not soak") -> list[str]:
     """A call of pytest on files, for the tests that are so marked."""
     return ["-m", "pytest", *words, "-m", marked, "-n", "0", "-p", "no:cacheprovider", "--timeout", "0"]
 
 
-PARTS = {
-    "kills": Part("trainings killed", ["-m", "tests.reliability.kills", "--kills", "50"]),
-    "chains": Part("chains killed", ["-m", "tests.reliability.chains", "--kills", "20"]),
-    "parity": Part("two processes against one", ["-m", "tests.reliability.ddp"]),
-    "ranks": Part("tests of several processes that stop, die, share and resume", by_pytest(f"{TESTS}/test_ddp.py")),
-    "stops": Part("SIGTERM: checkpoint and one line", by_pytest(f"{TESTS}/test_stopping.py", marked="slow or soak")),
-    "disk": Part("full disks, closed folders, removed files", by_pytest(f"{TESTS}/test_disk.py")),
-    "degenerate": Part("degenerate frames and networks, finite gradients", by_pytest(f"{TESTS}/test_degenerate.py")),
-    "inputs": Part("bad inputs named in one line", by_pytest(f"{TESTS}/test_bad_inputs.py", f"{TESTS}/test_permissions.py")),
-    "fuzz": Part("damaged files that crash no reader", by_pytest(TESTS, marked="fuzz"), examples="1000"),
+# what a row of the table is called, and what Python runs
+PARTS: dict[str, tuple[str, list[str]]] = {
+    "kills": ("training killed by SIGKILL and started again", ["-m", "tests.reliability.kills"]),
+    "chains": ("chain killed by SIGKILL and started again", ["-m", "tests.reliability.chains"]),
+    "parity": ("two processes train as one, stop, die and resume", by_pytest(f"{TESTS}/test_ddp.py", marked="slow or soak")),
+    "stops": ("SIGTERM: checkpoint and one line", by_pytest(f"{TESTS}/test_chains.py", "-k", "sigterm", marked="slow or soak")),
+    "disk": ("full disks, closed folders, removed files", by_pytest(f"{TESTS}/test_disk.py")),
+    "degenerate": ("degenerate frames and networks, finite gradients", by_pytest(f"{TESTS}/test_degenerate.py")),
+    "inputs": ("bad inputs named in one line", by_pytest(f"{TESTS}/test_bad_inputs.py")),
+    "fuzz": ("damaged files that crash no reader", by_pytest(TESTS, marked="fuzz")),
 }
 
 
-def run_part(name: str, part: Part) -> list[Row]:
-    """Run a part and read what it counted.
+def run_part(about: str, words: list[str]) -> Row:
+    """Run a part and add up what it counted; what is fuzzed gets 1000 examples.
 
     Returns:
-        Rows with `test`, `tried`, `held`, `note`; what went wrong is one that did not hold.
+        `test`, `tried`, `held`, `note`; what went wrong is a case that did not hold.
     """
     with tempfile.TemporaryDirectory() as folder:
         counts = Path(folder) / "counts.jsonl"
-        environment = os.environ | {"OMP_NUM_THREADS": "1", "DUALDEPTH_RELIABILITY": str(counts)}
-        environment |= {"DUALDEPTH_EXAMPLES": part.examples} if part.examples else {}
-        code = subprocess.run([sys.executable, *part.words], cwd=project_root(), env=environment, check=False).returncode
+        environment = os.environ | {"OMP_NUM_THREADS": "1", "DUALDEPTH_RELIABILITY": str(counts), "DUALDEPTH_EXAMPLES": "1000"}
+        code = subprocess.run([sys.executable, *words], cwd=project_root(), env=environment, check=False).returncode
         rows = [json.loads(line) for line in counts.read_text(encoding="utf-8").splitlines()] if counts.exists() else []
-        if "pytest" in part.words:
-            tried, held = (sum(row[key] for row in rows) for key in ("tried", "held"))
-            rows = [{"test": part.about, "tried": tried, "held": held, "note": f"{len(rows)} tests; {tried - held} cases went wrong"}]
-    failed = code != 0 and all(row["held"] == row["tried"] for row in rows)
-    if failed or not sum(row["tried"] for row in rows):
-        rows.append({"test": part.about, "tried": 1, "held": 0, "note": f"part {name} ended with {code} and counted too little"})
-    return rows
+    tried, held = (sum(row[key] for row in rows) for key in ("tried", "held"))
+    note = rows[0]["note"] if "pytest" not in words and rows else f"{len(rows)} tests; {tried - held} cases went wrong"
+    if not tried or (code and held == tried):
+        tried, note = tried + 1, f"ended with {code} and counted too little; {note}"
+    return {"test": about, "tried": tried, "held": held, "note": note}
 
 
-def save(name: str, rows: list[Row], stamp: dict[str, Any]) -> None:
-    """Put a part's rows into the table, and its stamp beside it."""
+def save(name: str, row: Row, stamp: dict[str, Any]) -> None:
+    """Put a part's row into the table, and its stamp beside it."""
     path = OUT.with_suffix(".json")
     parts = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-    parts[name] = {"rows": rows, **stamp}
+    parts[name] = {"rows": [row], **stamp}
     parts = {name: parts[name] for name in PARTS if name in parts}
     table = pd.DataFrame([row | {"device": part["device"]} for part in parts.values() for row in part["rows"]])
     write_text(OUT, table[["test", "tried", "held", "note", "device"]].to_csv(index=False))
@@ -92,27 +78,22 @@ def save(name: str, rows: list[Row], stamp: dict[str, Any]) -> None:
 def main(argv: list[str] | None = None) -> int:
     """Run the parts that are asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}; all if none is named")
-    arguments = parser.parse_args(argv)
-    if unknown := sorted(set(arguments.parts) - set(PARTS)):
-        parser.error(f"unknown part {', '.join(unknown)}; there are {', '.join(PARTS)}")
+    parser.add_argument("parts", nargs="*", metavar="PART", choices=PARTS, help=f"of {', '.join(PARTS)}; all if none is named")
+    asked = parser.parse_args(argv).parts or PARTS
     run = Run("tiny", project_root())
     run.stamp([])  # the revision before anything is written
-    held = True
-    for name in [name for name in PARTS if not arguments.parts or name in arguments.parts]:
-        print(f"▶ {name}: {PARTS[name].about}", flush=True)
+    all_held = True
+    for name in [name for name in PARTS if name in asked]:
+        print(f"▶ {name}: {PARTS[name][0]}", flush=True)
         began = time.monotonic()
-        rows = run_part(name, PARTS[name])
+        row = run_part(*PARTS[name])
         seconds = round(time.monotonic() - began)
-        save(name, rows, {key: value for key, value in run.stamp([]).items() if key in STAMP} | {"seconds": seconds})
-        for row in rows:
-            print(
-                f"{'✓' if row['held'] == row['tried'] else '✗'} {row['test']}: {row['held']} of {row['tried']}; {row['note']}", flush=True
-            )
-        held = held and all(row["held"] == row["tried"] for row in rows)
-        print(f"  {seconds} s", flush=True)
-    print(f"{OUT.relative_to(project_root())}: {'all held' if held else 'NOT ALL HELD'}")
-    return 0 if held else 1
+        save(name, row, {key: value for key, value in run.stamp([]).items() if key in STAMP} | {"seconds": seconds})
+        holds = row["held"] == row["tried"]
+        print(f"{'✓' if holds else '✗'} {row['held']} of {row['tried']}; {row['note']}; {seconds} s", flush=True)
+        all_held = all_held and holds
+    print(f"{OUT.relative_to(project_root())}: {'all held' if all_held else 'NOT ALL HELD'}")
+    return 0 if all_held else 1
 
 
 if __name__ == "__main__":

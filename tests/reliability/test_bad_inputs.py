@@ -1,12 +1,18 @@
-"""Every bad input ends in exit code 2 and one line that names the file, and leaves nothing behind; what is only odd works."""
+"""Every bad input ends in exit code 2 and one line that names the file, and leaves nothing behind; what is only odd works.
 
+Files and folders without permission are bad inputs too, also where the tests run as root.
+"""
+
+import contextlib
+import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
 from bad_inputs import CASES, Case
-from worlds import SERVED, WORLDS
+from worlds import CAMERAS, DRIVE, SCAN, SERVED, WORLDS
 
 from data_scripts import download_make3d
 from dualdepth.cli import main
@@ -84,15 +90,11 @@ def test_folders_with_spaces_and_other_letters_work(world, tmp_path, monkeypatch
 
 
 @pytest.mark.parametrize(
-    "world, file, command",
+    ("world", "file", "command"),
     [
-        ("depth", "G.npz", ["-m", "dualdepth.cli", "evaluate", "depth", "--pred", "P.npy", "--gt", "G.npz"]),
-        (
-            "scans",
-            "list.txt",
-            [EXPORT, "--kitti", "kitti", "--list", "list.txt", "--out", "out.npz"],
-        ),
-        ("PNG frames", "own.yaml", ["-m", "dualdepth.cli", "train", "--profile", "own.yaml"]),
+        ("depth", "G.npz", "-m dualdepth.cli evaluate depth --pred P.npy --gt G.npz"),
+        ("scans", "list.txt", f"{EXPORT} --kitti kitti --list list.txt --out out.npz"),
+        ("PNG frames", "own.yaml", "-m dualdepth.cli train --profile own.yaml"),
     ],
 )
 def test_as_a_process(world, file, command, tmp_path, monkeypatch, counted):
@@ -100,9 +102,50 @@ def test_as_a_process(world, file, command, tmp_path, monkeypatch, counted):
     WORLDS[world](tmp_path)
     (tmp_path / file).write_bytes(b"\xff\xfe damaged")
     with counted():
-        done = subprocess.run([sys.executable, *command], capture_output=True, text=True, check=False)
+        done = subprocess.run([sys.executable, *command.split()], capture_output=True, text=True, check=False)
         assert done.returncode == 2 and done.stdout == ""
         assert len(done.stderr.splitlines()) == 1 and done.stderr.startswith("error: ") and file in done.stderr
+
+
+DENIED = [
+    *[("scans", name) for name in ("list.txt", SCAN, CAMERAS, f"kitti/{DRIVE}/image_02/data", ".")],
+    *[("improved", "improved"), ("depth", "P.npy"), ("depth", "G.npz"), ("odometry", "pred.txt"), ("labels", "labels.png")],
+    *[("PNG frames", name) for name in ("own.yaml", "work/own/prepared/triplets.csv", "work/own/runs/lr/seed0")],
+]
+"""What is read, and which file or folder of it may not be touched; `.` is the folder to write to."""
+
+
+@contextlib.contextmanager
+def without_rights():
+    """Inside, root is nobody, who may not touch what is closed."""
+    user = os.geteuid()
+    try:
+        os.seteuid(user or 65534)
+    except OSError:
+        pytest.skip("the rights of root cannot be given up here")
+    try:
+        yield
+    finally:
+        os.seteuid(user)
+
+
+@pytest.mark.parametrize(("world", "name"), DENIED)
+def test_what_may_not_be_touched_is_named_in_one_line(world, name, monkeypatch, refused, counted):
+    with tempfile.TemporaryDirectory() as place:  # below no folder of pytest's, which are closed to other users
+        folder = Path(place)
+        monkeypatch.chdir(folder)
+        call = WORLDS[world](folder)
+        assert call() == 0  # with all rights it works, and has imported what it needs
+        for written in ("out.npz", "out.json"):
+            (folder / written).unlink(missing_ok=True)
+        folder.chmod(0o777)
+        (folder / name).chmod(0o555 if name == "." else 0)
+        before = set(os.listdir())
+        with counted(), without_rights():
+            assert {".": "out."}.get(name, name) in refused(call)
+        assert set(os.listdir()) == before
+        (folder / name).chmod(0o755)
+        monkeypatch.undo()
 
 
 @pytest.mark.parametrize("seed", ["-1", "4294967296"])

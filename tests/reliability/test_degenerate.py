@@ -9,20 +9,6 @@ from dualdepth.networks.pose_net import POSE_SCALE, PoseNet
 
 pytestmark = pytest.mark.slow
 
-SIZE = (192, 192)
-
-
-@pytest.fixture(scope="module")
-def stages(dual_of, encoder):
-    """Makes a stage with all its networks, small."""
-
-    def make(name):
-        torch.manual_seed(0)
-        depth_net = dual_of() if name == "hr" else LRNet(encoder)
-        return stage_of(depth_net, PoseNet(), low=name != "hr", beyond_paper_automask="automask" in name).train()
-
-    return make
-
 
 def pixels(value):
     return lambda stage, batch: batch["images"].fill_(value)
@@ -59,10 +45,8 @@ def disparity(bias):
 
 
 def constant(stage, batch):
-    for merge in decoder(stage).merge:
-        for layer in merge:
-            if hasattr(layer, "weight"):
-                torch.nn.init.zeros_(layer.weight)
+    for weight in (value for name, value in decoder(stage).merge.named_parameters() if name.endswith("weight")):
+        torch.nn.init.zeros_(weight)
 
 
 CASES = {
@@ -80,8 +64,11 @@ CASES = {
 
 @pytest.mark.parametrize("name", ["lr", "lr with automask", "hr"])
 @pytest.mark.parametrize("case", CASES)
-def test_losses_and_gradients_of_a_whole_stage_stay_finite(stages, case, name, counted):
-    stage, batch = stages(name), batch_of(1, SIZE)
+def test_losses_and_gradients_of_a_whole_stage_stay_finite(case, name, dual_of, encoder, counted):
+    torch.manual_seed(0)
+    depth_net = dual_of() if name == "hr" else LRNet(encoder)
+    stage = stage_of(depth_net, PoseNet(), low=name != "hr", beyond_paper_automask="automask" in name).train()
+    batch = batch_of(1, (192, 192))
     CASES[case](stage, batch)
     with counted():
         output = stage(batch)

@@ -16,10 +16,6 @@ SMALL = 300_000
 """Bytes: more than a log or a picture, less than weights."""
 
 
-def checkpoint_path(folder, step):
-    return folder / f"checkpoint_{step:08d}.pt"
-
-
 @contextlib.contextmanager
 def files_of_at_most(size):
     """No file of this process may grow beyond `size`, as on a disk that is full."""
@@ -39,9 +35,10 @@ def run(run, profile_of):
 
 def test_on_a_full_disk_a_training_goes_on_with_its_last_checkpoint_and_ends_in_one_line(run, whole, tmp_path, capsys, counted):
     folder = tmp_path / "run"
+    checkpoint = folder / "checkpoint_00000002.pt"
     with pytest.raises(SystemExit):
         run(kind=at_forward(2, kill_softly))
-    before = checkpoint_path(folder, 2).read_bytes()
+    before = checkpoint.read_bytes()
     capsys.readouterr()
     with (
         counted(),
@@ -53,8 +50,7 @@ def test_on_a_full_disk_a_training_goes_on_with_its_last_checkpoint_and_ends_in_
     with counted():
         assert "\n" not in str(error.value)
         assert "checkpoint of step 4 was not written" in said and "the last good one is checkpoint_00000002.pt, training goes on" in said
-    with counted():
-        assert checkpoint_path(folder, 2).read_bytes() == before and not list(folder.rglob("*.part*"))
+        assert checkpoint.read_bytes() == before and not list(folder.rglob("*.part*"))
     with counted():
         assert equal(run(), whole)  # once there is room
 

@@ -2,23 +2,26 @@
 
 import io
 import json
+import re
 import shutil
 import zipfile
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
+import nbformat
 import numpy as np
+import papermill.parameterize
 import pytest
 import torch
 import yaml
-from damages import encoded
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
+from loopback import tar_of
 from PIL import Image
+from safetensors.torch import save
 from strategies import bytes_of, fuzz, read_or_refuse, values_of
-from worlds import tar_of
+from worlds import DAY, DRIVE, written
 
 from data_scripts import sources
 from data_scripts.archives import unpack
@@ -42,7 +45,6 @@ from dualdepth.training.weights import load_card, load_weights, save_weights
 
 pytestmark = [pytest.mark.fuzz, pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
 
-DAY, DRIVE = "2011_09_26", "2011_09_26/2011_09_26_drive_0001_sync"
 FRAME = kitti.Frame(DRIVE, 0)
 PROJECTION = np.array([[8.0, 0, 8, 0], [0, 8, 6, 0], [0, 0, 1, 0]]) @ np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 NUMBERS = "2.2e+02 0 104 0 0 220 104 0 0 0 1 0"
@@ -89,14 +91,7 @@ TEXTS = {
 
 
 def picture(pixels: np.ndarray, kind: str = "png", **settings: object) -> bytes:
-    return encoded(Image.fromarray(pixels), kind, **settings)
-
-
-def saved(save: Callable, **arrays: np.ndarray) -> bytes:
-    """What numpy's `save` or `savez` writes."""
-    buffer = io.BytesIO()
-    save(buffer, **arrays)
-    return buffer.getvalue()
+    return written(Image.fromarray(pixels).save, kind, **settings)
 
 
 def zipped(method: int) -> bytes:
@@ -148,12 +143,12 @@ FILES = {
     "label map": ("damaged", picture(LABELS), read_label_map),
     "photo": ("damaged", picture(RGB, "jpeg"), make3d.read_photo),
     "laser scan": ("damaged", SCAN, lambda path: lidar.depth_from_scan(lidar.read_scan(path), PROJECTION, (12, 16))),
-    "predictions": ("damaged", saved(np.save, arr=ONES), lambda p: evaluate(load_predictions(p), [np.full((3, 4), 5.0)] * 2, crop="none")),
-    "ground truth in one array": ("damaged", saved(np.savez, data=ONES), lambda path: list(load_ground_truth(path))),
+    "predictions": ("damaged", written(np.save, ONES), lambda p: evaluate(load_predictions(p), [np.full((3, 4), 5.0)] * 2, crop="none")),
+    "ground truth in one array": ("damaged", written(np.savez, data=ONES), lambda path: list(load_ground_truth(path))),
     "zip, stored": ("one/archive", zipped(zipfile.ZIP_STORED), extract),
     "zip, deflated": ("one/archive", zipped(zipfile.ZIP_DEFLATED), extract),
     "tar.gz": ("one/archive", tar_of({"b/c.bin": b"content " * 20}), extract),
-    "weights": ("w.safetensors", None, read_weights),
+    "weights": ("w.safetensors", save(network().state_dict()), read_weights),
 }
 
 
@@ -165,14 +160,11 @@ def test_damaged_file(parser, tmp_path, counted):
     (tmp_path / DAY).mkdir(exist_ok=True)
     for beside, content in (("cam_to_cam", CAMERAS), ("velo_to_cam", LASER)):
         (tmp_path / DAY / f"calib_{beside}.txt").write_bytes(content)
-    if not whole:
-        save_weights(path, network(), {})
 
     def write_and_read(content):
         path.write_bytes(content)
         read(path)
 
-    whole = whole or path.read_bytes()
     write_and_read(whole)  # what is not damaged is read
     fuzz(counted, write_and_read, bytes_of(whole, words=parser in TEXTS))
 
@@ -264,3 +256,24 @@ def test_odd_names_of_files_in_a_folder_of_frames(tmp_path_factory, counted):
         read_or_refuse(frame_files, root, "00")
 
     fuzz(counted, write_and_read, FILE_NAMES, st.sampled_from([".png", ".jpg", ".txt"]))
+
+
+CODE = ['__import__("os").system("touch X")', '"; open("X", "w"); "', "'''\nopen('X', 'w')\n'''", "{open('X', 'w')}", "!touch X", "%run X"]
+
+
+def test_a_parameter_of_a_notebook_is_data_and_never_code(tmp_path, monkeypatch, counted):
+    monkeypatch.chdir(tmp_path)
+    kernel = {"kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}, "papermill": {}}
+    cell = nbformat.v4.new_code_cell('text = ""', metadata={"tags": ["parameters"]})
+
+    def pass_on(value):
+        """The notebook has what stands after `--set text=`, by the cell that papermill puts into it, which is run here."""
+        notebook, names = nbformat.v4.new_notebook(cells=[cell], metadata=kernel), {}
+        filled = papermill.parameterize.parameterize_notebook(notebook, parse_parameters([f"text={value}"]))
+        exec("\n".join(cell.source for cell in filled.cells), names)
+        assert names["text"] == value and not list(tmp_path.iterdir())
+
+    for value in (*CODE, "\\\"; open('X', 'w') #", "$(touch X)"):
+        pass_on(value)
+    text = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
+    fuzz(counted, pass_on, text.filter(lambda value: not re.fullmatch("-?[0-9]+", value)))

@@ -21,6 +21,7 @@ from dualdepth.data.depth_maps import save_ground_truth
 from dualdepth.data.label_maps import read_label_map
 from dualdepth.errors import exit_on_input_error
 from dualdepth.files import write_text
+from dualdepth.training.variants import make_stage
 from dualdepth.training.weights import save_weights
 from tests.small_checkout import checkout_of, prepare
 
@@ -85,16 +86,10 @@ def training(folder: Path, suffix: str = ".png", variant: str = "lr") -> Call:
     run = checkout_of(folder, save_encoder(folder / "small"), {"lr": stage, "hr": stage}, train={"lr": None, "dual": None})
     prepare(run)
     if variant == "dual":
-        untrained_lr(run)
+        # weights of stage 1 as a training writes them, without the training
+        card = run.profile.architecture("lr").model_dump() | {"hr_size": [192, 192], "variant": "lr", "seed": 0, "steps": 1}
+        save_weights(run.weights("lr", 0), make_stage(run.profile, "lr"), card | {"pretrained": False, "drives": [DRIVE]})
     return lambda: main(["train", "--profile", "own.yaml", "--variant", variant])
-
-
-def untrained_lr(run) -> None:
-    """Weights of stage 1 as a training writes them, without the training."""
-    from dualdepth.training.variants import make_stage
-
-    card = run.profile.architecture("lr").model_dump() | {"hr_size": [192, 192], "variant": "lr", "seed": 0, "steps": 1}
-    save_weights(run.weights("lr", 0), make_stage(run.profile, "lr"), card | {"pretrained": False, "drives": [DRIVE]})
 
 
 def labels(folder: Path) -> Call:
@@ -109,18 +104,21 @@ def labels(folder: Path) -> Call:
     return read
 
 
+def written(save: Callable[..., object], *arguments: object, **settings: object) -> bytes:
+    """What `save(file, …)` of a library writes."""
+    buffer = io.BytesIO()
+    save(buffer, *arguments, **settings)
+    return buffer.getvalue()
+
+
 def photo() -> bytes:
     """A photo as Make3D has them, small."""
-    buffer = io.BytesIO()
-    Image.fromarray(np.random.default_rng(0).integers(0, 255, (40, 30, 3), np.uint8)).save(buffer, "jpeg")
-    return buffer.getvalue()
+    return written(Image.fromarray(np.random.default_rng(0).integers(0, 255, (40, 30, 3), np.uint8)).save, "jpeg")
 
 
-def grid(name: str = "Position3DGrid", shape: tuple[int, ...] = (55, 305, 4), **settings) -> bytes:
+def grid(name: str = "Position3DGrid", shape: tuple[int, ...] = (55, 305, 4), **settings: object) -> bytes:
     """A laser grid as Make3D has them."""
-    buffer = io.BytesIO()
-    savemat(buffer, {name: np.random.default_rng(0).uniform(1, 80, shape)}, **settings)
-    return buffer.getvalue()
+    return written(savemat, {name: np.random.default_rng(0).uniform(1, 80, shape)}, **settings)
 
 
 def kitti_archive(folder: Path, server: Loopback) -> Call:
