@@ -153,20 +153,21 @@ class Run:
             raise InputError(f"{path.relative_to(self.root)} is missing: run notebook {notebook} with profile {self.profile.name} first")
         return path
 
-    def save_table(self, table: "pd.DataFrame", name: str, inputs: Iterable[Path], **facts: Any) -> Path:
-        """Write `results/<profile>/tables/<name>.csv` and its stamp."""
-        return self._save("tables", f"{name}.csv", lambda path: table.to_csv(path, index=False, float_format="%.6g"), inputs, facts)
+    def save_table(self, table: "pd.DataFrame", name: str, inputs: Iterable[Path], **facts: Any) -> "pd.DataFrame":
+        """Write `results/<profile>/tables/<name>.csv` and its stamp; gives the table."""
+        self._save("tables", f"{name}.csv", lambda path: table.to_csv(path, index=False, float_format="%.6g"), inputs, facts)
+        return table
 
-    def save_figure(self, figure: "Figure", name: str, inputs: Iterable[Path], **facts: Any) -> Path:
-        """Write `results/<profile>/figures/<name>.png` and its stamp."""
-        return self._save("figures", f"{name}.png", lambda path: figure.savefig(path, dpi=100), inputs, facts)
+    def save_figure(self, figure: "Figure", name: str, inputs: Iterable[Path], **facts: Any) -> "Figure":
+        """Write `results/<profile>/figures/<name>.png` and its stamp; gives the figure."""
+        self._save("figures", f"{name}.png", lambda path: figure.savefig(path, dpi=100), inputs, facts)
+        return figure
 
-    def _save(self, folder: str, name: str, write: Callable[[Path], object], inputs: Iterable[Path], facts: dict[str, Any]) -> Path:
+    def _save(self, folder: str, name: str, write: Callable[[Path], object], inputs: Iterable[Path], facts: dict[str, Any]) -> None:
         path = self.results / folder / name
         with atomic_path(path) as partial:
             write(partial)
         write_json(path.with_suffix(".json"), self.stamp(inputs) | facts)
-        return path
 
     def stamp(self, inputs: Iterable[Path]) -> dict[str, Any]:
         """Provenance: revision, hashes of lock, profile and inputs, versions, machine, time; seconds are since this run was opened."""
@@ -206,6 +207,13 @@ class Run:
             return subprocess.run(["git", "-C", str(self.root), *words], capture_output=True, text=True, check=False).stdout.strip()
 
         return {"revision": git("rev-parse", "HEAD") or "unknown", "dirty": bool(git("status", "--porcelain"))}
+
+
+def open_run(profile: str, seeds: object) -> tuple[Run, list[int]]:
+    """The run and the seeds of a notebook's parameters; what the profile's numbers are numbers of is printed."""
+    run = Run(profile)
+    print(run.profile.about)
+    return run, parse_seeds(str(seeds))
 
 
 class Sources(NamedTuple):

@@ -29,8 +29,9 @@ def test_a_table_is_written_with_a_stamp_that_says_what_made_it(project):
     run = Run("tiny")
     given = project / "input.csv"
     given.write_text("a\n1\n")
-    path = run.save_table(pd.DataFrame({"abs_rel": [0.123456789]}), "main", [given], seeds=[0, 1])
-    assert path == project / "results/tiny/tables/main.csv"
+    table = pd.DataFrame({"abs_rel": [0.123456789]})
+    assert run.save_table(table, "main", [given], seeds=[0, 1]) is table
+    path = project / "results/tiny/tables/main.csv"
     assert path.read_text() == "abs_rel\n0.123457\n"
     stamp = json.loads(path.with_suffix(".json").read_text())
     assert (stamp["profile"], stamp["seeds"], stamp["revision"]) == ("tiny", [0, 1], "unknown")  # outside of git
