@@ -141,11 +141,20 @@ def load_profile(name: str) -> Profile:
     """Read and validate a profile.
 
     Args:
-        name: `tiny`, `miniature`, `sample`, `paper`, `own`, or the path of a YAML file; the run is named by the file's stem.
+        name: `tiny`, `miniature`, `claims`, `sample`, `paper`, `own`, or the path of a YAML file; the run is named by the file's stem.
 
     Raises:
         InputError: no such profile, no valid YAML, or a bad key or value; the message names the file and the nearest known key.
     """
+    path, values = _read(name)
+    try:
+        return Profile.model_validate({str(key): value for key, value in values.items()} | {"name": path.stem})
+    except (ValidationError, InputError) as error:
+        raise InputError(f"{path}: {_explain(error) if isinstance(error, ValidationError) else error}") from None
+
+
+def _read(name: str) -> tuple[Path, dict[str, Any]]:
+    """The file of a profile, and its settings laid over those of the profile that it `extends`."""
     path = Path(name) if name.endswith((".yaml", ".yml")) else PROFILES / f"{name}.yaml"
     if not path.is_file():
         known = ", ".join(sorted(p.stem for p in PROFILES.glob("*.yaml")))
@@ -156,10 +165,20 @@ def load_profile(name: str) -> Profile:
         values = yaml.safe_load(path.read_text(encoding="utf-8"))
     if not isinstance(values, dict):
         raise InputError(f"{path}: expected a mapping of settings, found {type(values).__name__}")
-    try:
-        return Profile.model_validate({str(key): value for key, value in values.items()} | {"name": path.stem})
-    except (ValidationError, InputError) as error:
-        raise InputError(f"{path}: {_explain(error) if isinstance(error, ValidationError) else error}") from None
+    if (base := values.pop("extends", None)) is None:
+        return path, values
+    if base not in {p.stem for p in PROFILES.glob("*.yaml")} - {path.stem}:
+        raise InputError(f"{path}: extends {base!r}, which is no shipped profile; name one, such as miniature or paper")
+    return path, _laid_over(_read(base)[1], values)
+
+
+def _laid_over(base: dict[str, Any], change: dict[str, Any]) -> dict[str, Any]:
+    """Sections are merged key by key; what is trained is replaced as a whole."""
+    merged = {
+        k: _laid_over(base[k], v) if isinstance(v, dict) and isinstance(base.get(k), dict) and k != "train" else v
+        for k, v in change.items()
+    }
+    return base | merged
 
 
 def _explain(error: ValidationError) -> str:

@@ -7,6 +7,7 @@ import pytest
 from dualdepth.errors import InputError
 from dualdepth.paper import RECIPE
 from dualdepth.profile import PROFILES, load_profile, standard_variants
+from dualdepth.tables.claims import CLAIMS
 
 SHIPPED = sorted(path.stem for path in PROFILES.glob("*.yaml"))
 
@@ -48,6 +49,24 @@ def test_the_paper_profile_is_the_papers_recipe():
     assert (training.encoder, training.pretrained) == ("resnet50", True)
     assert training.augmentation.augment_first and training.loss.feature > 0
     assert (profile.data.train_list, profile.data.test_list) == ("eigen_zhou", "eigen_test")
+
+
+def test_a_profile_extends_a_shipped_one_section_by_section_and_trains_what_it_names_itself(tmp_path):
+    path = tmp_path / "longer.yaml"
+    path.write_text("about: x\nextends: miniature\ntraining: {lr: {epochs: 77}}\ntrain: {lr: }\n")
+    longer, base = load_profile(str(path)), load_profile("miniature")
+    assert (longer.name, longer.about, longer.training.lr.epochs, [*longer.train]) == ("longer", "x", 77, ["lr"])
+    assert longer.training.lr.learning_rates == base.training.lr.learning_rates and longer.world == base.world
+    for wrong in ("longer", "nothing", "../x"):
+        path.write_text(f"about: x\nextends: {wrong}\n")
+        with pytest.raises(InputError, match=r"longer\.yaml: extends .* is no shipped profile"):
+            load_profile(str(path))
+
+
+def test_every_claim_of_the_paper_has_its_trainings_in_the_profile_of_claims():
+    known = {*load_profile("claims").train, ""}
+    for claim in (claim for claim in CLAIMS if claim.of_paper and not claim.a.startswith("gain")):
+        assert {claim.a, claim.b} <= known, claim.text
 
 
 def test_an_unknown_profile_names_those_there_are_and_a_file_that_is_not_there_is_named(tmp_path):
