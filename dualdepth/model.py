@@ -24,6 +24,8 @@ from dualdepth.training.weights import HUB_CARD, load_card, load_weights, save_w
 UNIT = 16.0
 """Relative depth is reported as 16 / disparity (1.6 … 1600). Stored as uint16 × 256, as KITTI's, that resolves near depths to 0.25 %."""
 WEIGHTS = "model.safetensors"
+RELEASED = Path(__file__).parent / "released"
+"""Weights that come with the package, of a network that learned from real KITTI; `make publish` of that profile writes them."""
 HUB_OPTIONS = ("revision", "cache_dir", "token", "local_files_only", "force_download")
 README = """---
 library_name: dualdepth
@@ -99,7 +101,8 @@ class DepthModel(nn.Module, ModelHubMixin):
         learned = self.card.get("about")
         learned = f"Learned by {learned}." if learned else "The card does not say what these weights were learned from."
         start = " The encoder began with ImageNet weights." if self.card.get("pretrained") else ""
-        return f"Depth is relative: its unit is unknown. {learned}{start}"
+        licence = f" Weights: {self.card['licence']}." if self.card.get("licence") else ""
+        return f"Depth is relative: its unit is unknown. {learned}{start}{licence}"
 
     def __repr__(self) -> str:
         return f"DepthModel({self.architecture.network}, {self.size[1]}×{self.size[0]}, {self.device}, {self.precision}): {self.about}"
@@ -196,12 +199,13 @@ class DepthModel(nn.Module, ModelHubMixin):
         return ModelCard(README.format(title=title, about=self.about, card=HUB_CARD))
 
 
-def load(weights: str | Path, device: str | torch.device | None = None, precision: Precision | None = None) -> DepthModel:
+def load(weights: str | Path = RELEASED, device: str | torch.device | None = None, precision: Precision | None = None) -> DepthModel:
     """Load trained weights.
 
     Args:
         weights: a `.safetensors` file with its card beside it (`<name>.json`, or `config.json`), as
-            `work/<profile>/runs/<variant>/seed<n>/model.safetensors`; the folder of one; or a name on the model hub, `owner/name`.
+            `work/<profile>/runs/<variant>/seed<n>/model.safetensors`; the folder of one; or a name on the model hub, `owner/name`. Left
+            out, those that come with the package.
         device: such as `cpu`, `cuda`, `cuda:1`, `mps`; None takes a GPU where there is one.
         precision: `float32` or `bf16`; None takes bf16 on a CUDA GPU that has it, else float32.
 

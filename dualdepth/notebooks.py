@@ -21,6 +21,8 @@ from dualdepth.run import Run, check_roots, parse_seeds, project_root
 DRY = re.compile(r"--dry-?run|-[a-z]*n[a-z]*")
 """Snakemake's options for only saying what it would run, such as `-np`."""
 
+LICENCE = "CC BY-NC-SA 3.0, as KITTI's images from which they were learned, for non-commercial research"
+"""Of weights that come with the package."""
 PICTURE_WIDTH = 900
 """Pixels that a picture in a published notebook has at most."""
 
@@ -140,6 +142,27 @@ def publish_results(profile: str) -> int:
     return files
 
 
+def publish_weights(profile: str) -> int:
+    """Put the dual network of a profile's first seed into the package, in half precision, with its scores and licence on its card.
+
+    Raises:
+        InputError: the profile has no trained dual network or no main table yet.
+    """
+    import pandas as pd
+
+    from dualdepth.model import RELEASED, load
+
+    run = Run(profile)
+    table = pd.read_csv(run.require(run.results / "tables" / "main.csv", "05_table_main")).query("source == 'measured'")
+    row = table[table["method"] == run.profile.variant("dual").label].iloc[0]
+    model = load(run.weights("dual", run.profile.seeds[0]), "cpu").half()
+    model.card |= {"scores": {name: float(row[name]) for name in ("abs_rel", "a1")}, "scored_on": f"{row['n']} frames of other drives"}
+    model.card |= {"licence": LICENCE}
+    model.save_pretrained(RELEASED)
+    print(f"{RELEASED}: {sum(path.stat().st_size for path in RELEASED.iterdir()) / 1e6:.1f} MB")
+    return 0
+
+
 def publish_notebooks() -> int:
     """Store the executed copies of `results/tiny/notebooks` as `notebooks/`, without what differs from run to run.
 
@@ -205,11 +228,12 @@ def _small_jpeg(png: str) -> str:
 def main(argv: list[str] | None = None) -> int:
     """Run the command line."""
     parser = argparse.ArgumentParser(description="Keep what a run made.")
-    parser.add_argument("what", choices=("results", "notebooks"))
+    parser.add_argument("what", choices=("results", "notebooks", "weights"))
     parser.add_argument("--profile", default="miniature")
     arguments = parser.parse_args(argv)
     with exit_on_input_error():
-        publish_notebooks() if arguments.what == "notebooks" else publish_results(arguments.profile)
+        publish = {"results": publish_results, "weights": publish_weights}
+        publish_notebooks() if arguments.what == "notebooks" else publish[arguments.what](arguments.profile)
     return 0
 
 
