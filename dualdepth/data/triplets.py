@@ -49,7 +49,8 @@ def drive_triplets(
         raise InputError(f"training drives {', '.join(leaked)} hold test frames: take them out of train_drives")
     targets, empty = [], []
     for drive, asked in chosen:
-        camera, indices = _frames_of(Path(root) / drive, [asked] if asked else cameras)
+        there = {name: _numbers(Path(root) / drive / name / "data") for name in ([asked] if asked else cameras)}
+        camera, indices = next(((name, numbers) for name, numbers in there.items() if numbers), ("", set()))
         if not indices:
             empty.append(f"{drive}/{asked or ' or '.join(cameras)}")
         moving = indices - {i for d, i in static if d == drive}
@@ -59,12 +60,6 @@ def drive_triplets(
     if not targets:
         raise InputError(f"{root}: no three consecutive moving frames in {', '.join(d for d, _ in chosen)}; training needs a triplet")
     return targets
-
-
-def _frames_of(drive: Path, cameras: Sequence[str]) -> tuple[str, set[int]]:
-    """The first camera that a drive has, and the numbers of its frames."""
-    found = ((camera, _numbers(drive / camera / "data")) for camera in cameras)
-    return next(((camera, numbers) for camera, numbers in found if numbers), (cameras[0], set()))
 
 
 def _numbers(folder: Path) -> set[int]:

@@ -98,11 +98,6 @@ class Trainer:
             step = checkpoint["step"]
             self.accelerator.print(f"{self.folder}: settings or code changed since the checkpoint of step {step}; training from the start")
 
-    def _batches(self, start: int, stop: int, accumulate: int = 1, processes: int = 1, rank: int = 0) -> StatelessBatches:
-        """The samples of steps from `start` to `stop`, of each batch's parts the share of one process."""
-        shares = {"accumulate": accumulate, "processes": processes, "rank": rank}
-        return StatelessBatches(len(self.triplets), self.stage.batch_size, self.seed, start, stop, **shares)
-
     def _prepare(self, make_model: Callable[[], Stage], checkpoint: dict[str, Any] | None) -> None:
         """Model and optimiser, new or as the checkpoint has them, on this process's device."""
         set_seed(self.seed)
@@ -130,7 +125,8 @@ class Trainer:
             for path in checkpoint_paths(self.folder):
                 path.unlink(missing_ok=True)
         if not checkpoint and isinstance(model.depth_net, DualNet):
-            first = default_collate([self.dataset[key] for key in next(iter(self._batches(0, 1)))])
+            keys = next(iter(StatelessBatches(len(self.triplets), self.stage.batch_size, self.seed, 0, 1)))
+            first = default_collate([self.dataset[key] for key in keys])
             model.depth_net.begin(to_unit(first["images"][:, 0]))
         self.model, self.optimizer = self.accelerator.prepare(model, optimizer)
         decay, model = self.settings.beyond_paper_average, self.accelerator.unwrap_model(self.model)
@@ -146,20 +142,22 @@ class Trainer:
                 batch).
             SystemExit: SIGTERM came; a checkpoint was written first.
         """
-        shares = self.settings.accumulate, self.accelerator.num_processes, self.accelerator.process_index
-        batches = one_line_errors(make_loader(self.dataset, self._batches(self.start, self.total, *shares), self.settings.workers))
+        accelerator = self.accelerator
+        shares = {"accumulate": self.settings.accumulate, "processes": accelerator.num_processes, "rank": accelerator.process_index}
+        samples = StatelessBatches(len(self.triplets), self.stage.batch_size, self.seed, self.start, self.total, **shares)
+        batches = one_line_errors(make_loader(self.dataset, samples, self.settings.workers))
         log = TrainingLog(self.folder, self.start, tqdm.write) if self.main else None
         self.model.train()
         began = time.perf_counter()
         name = f"{self.folder.parent.name} {self.folder.name}"
         bar = tqdm(total=self.total, initial=self.start, desc=name, unit="step", disable=not self.main)
-        with bar, contextlib.closing(batches), stop_request(self.accelerator) as stop_requested:
+        with bar, contextlib.closing(batches), stop_request(accelerator) as stop_requested:
             for step in range(self.start + 1, self.total + 1):
                 logged = step % self.settings.log_every == 0 or step in (1, self.total)
                 output, statistics = self._step(step, batches, logged)
                 bar.update()
                 if logged:
-                    values = combine(self.accelerator, statistics)
+                    values = combine(accelerator, statistics)
                 if log and logged:
                     rate = (step - self.start) / (time.perf_counter() - began)
                     log.row(step, values | {"learning_rate": self.optimizer.param_groups[0]["lr"], "steps_per_second": rate})
