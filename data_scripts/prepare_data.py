@@ -31,8 +31,8 @@ from dualdepth.data.kitti import (
     velodyne_path,
 )
 from dualdepth.data.label_maps import label_path
-from dualdepth.data.odometry import check_odometry_root, frame_files, poses_path, sequence_of, write_odometry_index
-from dualdepth.data.triplets import drive_triplets, missing_files_error, missing_neighbours, triplet_paths, with_suffix, write_targets
+from dualdepth.data.odometry import check_odometry_root, frame_files, odometry_triplets, poses_path, sequence_of
+from dualdepth.data.triplets import drive_triplets, missing_files_error, missing_neighbours, raw_triplets, write_triplets
 from dualdepth.errors import InputError, exit_on_input_error
 from dualdepth.files import file_digest, write_json
 from dualdepth.run import RECORD, ROOTS, Run, Sources, add_roots
@@ -67,21 +67,22 @@ def prepare(run: Run) -> Prepared:
         raise InputError(f"{unlabelled[0]}: no label map, {others}")
     check_separate([f.drive for f in targets], [f.drive for f in scored], "drives", sources.allow_leak)
     sequences, ridden = odometry_sequences(run, sources)
-    triplets = [triplet_paths(root, target, suffix) for target, suffix in with_suffix(root, targets)]
+    triplets = raw_triplets(root, targets)
     shown = [path for frame in scored if (path := image_path(root, frame))]
     films, judged = ([f for e in entries for f in frame_files(sources.odometry_root, e).values()] for entries in (sequences, ridden))
-    broken = broken_frames([*itertools.chain(*triplets), *films], [*shown, *judged])
+    broken = broken_frames([*(path for triplet in triplets for path in triplet.paths), *films], [*shown, *judged])
     named = "; ".join(broken.values())
     if to_score := len(broken.keys() & {*shown, *judged}):
         raise InputError(f"{to_score} frames to score are broken, and {len(broken) - to_score} others: {named}")
     if broken:
         print(f"{len(broken)} frames are broken and left out with their triplets: {named}")
-    whole = [target for target, paths in zip(targets, triplets) if broken.keys().isdisjoint(paths)]
+    whole = [(target, triplet) for target, triplet in zip(targets, triplets) if broken.keys().isdisjoint(triplet.paths)]
     if not whole:
         raise InputError(f"{root}: all {len(targets)} triplets have broken frames; copy or download them again")
-    fitted = laser_frames(sources, whole, data.baseline_frames)
-    write_targets(out / "triplets.csv", root, whole)
-    write_identity(run, sources, whole)
+    kept = [target for target, _ in whole]
+    fitted = laser_frames(sources, kept, data.baseline_frames)
+    write_triplets(out / "triplets.csv", root, [triplet for _, triplet in whole])
+    write_identity(run, sources, kept)
     if data.has_truth:
         export_frames(scored, out / "ground_truth.npz", kitti=root)
     else:  # of an own camera: nothing was measured (0)
@@ -91,8 +92,10 @@ def prepare(run: Run) -> Prepared:
     if fitted:
         export_frames(fitted, out / "baseline_truth.npz", kitti=root)
     write_json(out / "test_frames.json", {"listed": listed, "frames": scored})
-    odometry = write_odometry_index(out / "odometry.csv", sources.odometry_root, sequences, broken) if sequences else 0
-    return Prepared(len(whole), len(scored), listed, len(fitted), odometry)
+    odometry = odometry_triplets(sources.odometry_root, sequences, broken)
+    if odometry:
+        write_triplets(out / "odometry.csv", sources.odometry_root, odometry)
+    return Prepared(len(whole), len(scored), listed, len(fitted), len(odometry))
 
 
 def broken_frames(trained: Sequence[Path], scored: Sequence[Path]) -> dict[Path, str]:

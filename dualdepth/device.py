@@ -7,7 +7,6 @@ import contextlib
 import ctypes
 import os
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
@@ -84,21 +83,15 @@ def has_bf16(device: "torch.device") -> bool:
     return device.type == "cpu" and any(torch.cpu.get_capabilities().get(name) for name in ("avx512_bf16", "amx_bf16"))
 
 
-def choose_precision(
-    setting: Literal["auto"] | Precision, device: "torch.device", lr_size: tuple[int, int], seconds: Callable[[Precision], float]
-) -> Precision:
-    """What `training.precision` means on a device: `auto` is the faster of bf16 and float32 where the device has both, else float32.
+def choose_precision(setting: Literal["auto"] | Precision, device: "torch.device", lr_size: tuple[int, int]) -> Precision:
+    """What `training.precision` means on a device: `auto` is bf16 where the device computes in it, else float32.
 
     Frames of LR-Net of 64×64 and less stay in float32: PoseNet ends in 1×1 maps there, whose bf16 gradients torch 2.13 gets wrong.
-
-    Args:
-        setting, lr_size: of the profile; LR-Net's frames have (height, width).
-        device: that trains.
-        seconds: how long a step takes in a precision; asked only where there is a choice.
+    `lr_size` is their (height, width).
     """
     if setting != "auto":
         return setting
-    return min(get_args(Precision), key=seconds) if has_bf16(device) and max(lr_size) > 64 else "float32"
+    return "bf16" if has_bf16(device) and max(lr_size) > 64 else "float32"
 
 
 def inference_precision(precision: str | None, device: "torch.device") -> Precision:

@@ -190,8 +190,8 @@ class Training(Settings):
     """Beyond the paper: the weights that are kept are the running mean of those after each step (Polyak), with this decay, at first a
     shorter one; 0 keeps those of the last step. Short trainings at high rates go up and down from step to step, their mean does not."""
     precision: Literal["auto", "float32", "bf16"] = "auto"
-    """Of the networks; geometry and losses are always float32. `auto`: where the device computes in bf16, the faster of the two by a step
-    of each, else float32; a training ends in the precision in which it began, and its card says which that was."""
+    """Of the networks; geometry and losses are always float32. `auto`: bf16 where the device computes in it, else float32;
+    a training ends in the precision in which it began, and its card says which that was."""
     channels_last: bool = True
     workers: int = Field(2, ge=0)
     """Loader processes."""

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from data_scripts.prepare_data import write_identity
-from dualdepth.data.triplets import drive_triplets, write_targets
+from dualdepth.data.triplets import drive_triplets, raw_triplets, write_triplets
 from dualdepth.run import Run, Sources
 from tests.small_kitti import DRIVE
 
@@ -31,5 +31,5 @@ def prepare(run: Run, drive: str = DRIVE) -> None:
     sources = Sources(kitti_root=kitti, test_list=run.root / "test_files.txt")
     sources.save(run)
     targets = drive_triplets(kitti, [drive])
-    write_targets(run.index("lr"), kitti, targets)
+    write_triplets(run.index("lr"), kitti, raw_triplets(kitti, targets))
     write_identity(run, sources, targets)

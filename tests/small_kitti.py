@@ -5,7 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from dualdepth.data.triplets import drive_triplets, load_triplets, write_targets
+from dualdepth.data.triplets import drive_triplets, load_triplets, raw_triplets, write_triplets
 
 DRIVE = "2011_09_26/2011_09_26_drive_0001_sync"
 SHIFT = 6
@@ -58,5 +58,5 @@ def write_sequence(root, name, frames, camera="image_2", size=(208, 208), calibr
 def triplets_of(root, folder):
     """The triplets of `DRIVE`, prepared in a folder."""
     path = Path(folder) / "triplets.csv"
-    write_targets(path, root, drive_triplets(root, [DRIVE]))
+    write_triplets(path, root, raw_triplets(root, drive_triplets(root, [DRIVE])))
     return load_triplets(path, root)

@@ -141,20 +141,16 @@ def anchors(page):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_links_lead_to_files_and_headings(page):
+def test_links_lead_to_files_and_headings_and_files_that_are_named_exist(page):
+    """`dualdepth/settings.py` in prose is a file of the repository; what a run writes, or a pattern, is none."""
+    for code in inline_code(page):
+        if re.fullmatch(r"(dualdepth|data_scripts|tests|docs|cluster|notebooks)/[\w./-]*", code):
+            assert (REPOSITORY / code).exists(), f"{page.name} names {code}, which is not there"
     for link in re.findall(r"\]\((?![a-z]+:)([^)\s]+)\)", prose(page)):
         path, _, anchor = link.partition("#")
         target = page.parent / path if path else page
         assert target.exists(), f"{page.name} links to {path}, which is not there"
         assert not anchor or anchor in anchors(target), f"{page.name} links to #{anchor} of {target.name}, which has no such heading"
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_files_that_are_named_exist(page):
-    """`dualdepth/settings.py` in prose is a file of the repository; what a run writes, or a pattern, is none."""
-    for code in inline_code(page):
-        if re.fullmatch(r"(dualdepth|data_scripts|tests|docs|cluster|notebooks)/[\w./-]*", code):
-            assert (REPOSITORY / code).exists(), f"{page.name} names {code}, which is not there"
 
 
 def setting_names(model=Profile, prefix=""):

@@ -2,7 +2,6 @@
 
 import functools
 import io
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -47,16 +46,3 @@ def read_label_map(path: str | Path) -> np.ndarray:
     if unknown:
         raise InputError(f"{path}: holds {', '.join(map(str, unknown))}; give {ids}, not Cityscapes' raw ids (labelIds), which go up to 33")
     return labels
-
-
-class LabelMaps(Sequence):
-    """Label maps of frames in their order, (H, W) uint8 each, read when they are asked for."""
-
-    def __init__(self, labels_root: str | Path, frames: Sequence[Frame]) -> None:
-        self.paths = [label_path(labels_root, frame) for frame in frames]
-
-    def __len__(self) -> int:
-        return len(self.paths)
-
-    def __getitem__(self, index: int) -> np.ndarray:
-        return read_label_map(self.paths[index])

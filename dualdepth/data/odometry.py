@@ -3,7 +3,6 @@
 Layout, as KITTI unpacks: `ROOT/sequences/00/image_2/000000.png` (or .jpg), `ROOT/sequences/00/calib.txt`, `ROOT/poses/00.txt`.
 """
 
-import csv
 import functools
 import os
 from collections.abc import Collection, Iterable, Sequence
@@ -11,7 +10,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from dualdepth.data.kitti import SUFFIXES, calibration_entry, check_root, read_calibration
 from dualdepth.data.triplets import Triplet
@@ -100,47 +98,22 @@ def drives_to_guard(sequence: str) -> list[str]:
     return [*drives_of([sequence], world=False), *drives_of([sequence], world=True)]
 
 
-COLUMNS = ["sequence", "camera", "index", "previous", "target", "next", "fx", "fy", "cx", "cy"]
-
-
-def write_odometry_index(path: str | Path, root: str | Path, sequences: Sequence[str], broken: Collection[Path] = ()) -> int:
-    """Write the triplets of some sequences as CSV, atomically: frame files and intrinsics; returns how many there are.
-
-    Triplets of `broken` files are left out.
+def odometry_triplets(root: str | Path, sequences: Sequence[str], broken: Collection[Path] = ()) -> list[Triplet]:
+    """Triplets of some sequences; those of `broken` files are left out.
 
     Raises:
         InputError: a sequence has no images, no calibration or not three consecutive frames.
     """
-    rows = []
+    found: list[Triplet] = []
     for entry in sequences:
         name, camera = sequence_of(entry)
         files, matrix = frame_files(root, entry), sequence_intrinsics(root, entry)
-        lens = [f"{value:.9g}" for value in (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2])]
         whole = {number for number, file in files.items() if file not in broken}
         targets = [i for i in files if {i - 1, i, i + 1} <= whole]
         if not targets:
             raise InputError(f"{next(iter(files.values())).parent}: no three consecutive frames to train on")
-        rows += [[name, camera, i, files[i - 1].name, files[i].name, files[i + 1].name, *lens] for i in targets]
-    write_text(path, pd.DataFrame(rows, columns=COLUMNS).to_csv(index=False))
-    return len(rows)
-
-
-def load_odometry_triplets(path: str | Path, root: str | Path) -> tuple[list[Triplet], list[str]]:
-    """What `write_odometry_index` wrote: triplets with full paths, and the sequences they are of.
-
-    Raises:
-        InputError: the file is missing or not such a CSV.
-    """
-    triplets, sequences = [], []
-    with reading(path, "run notebook 02_prepare_data"), open(path, newline="", encoding="utf-8") as file:
-        for row in csv.DictReader(file):
-            folder = Path(root) / "sequences" / row["sequence"] / row["camera"]
-            fx, fy, cx, cy = (float(row[k]) for k in ("fx", "fy", "cx", "cy"))
-            paths = (folder / row["target"], folder / row["previous"], folder / row["next"])
-            name = f"odometry/{row['sequence']}/{row['camera']}/{int(row['index']):06d}"
-            triplets.append(Triplet(name, paths, np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])))
-            sequences.append(row["sequence"])
-    return triplets, sorted(set(sequences))
+        found += [Triplet(f"odometry/{name}/{camera}/{i:06d}", (files[i], files[i - 1], files[i + 1]), matrix, name) for i in targets]
+    return found
 
 
 FORMAT = "a KITTI pose file holds the 12 numbers of the 3x4 matrix [R|t] in a line, or 13 with the frame's number first"

@@ -16,11 +16,12 @@ from dualdepth.files import write_text
 
 
 class Triplet(NamedTuple):
-    """Files of the target, previous and next frame, and the camera's intrinsics (3, 3) in pixels of the raw frame."""
+    """Files of the target, previous and next frame, the intrinsics (3, 3) in pixels of the raw frame, and the drive or sequence."""
 
     name: str
     paths: tuple[Path, Path, Path]
     intrinsics: np.ndarray
+    drive: str = ""
 
 
 def drive_triplets(
@@ -48,7 +49,8 @@ def drive_triplets(
         raise InputError(f"training drives {', '.join(leaked)} hold test frames: take them out of train_drives")
     targets, empty = [], []
     for drive, asked in chosen:
-        camera, indices = _frames_of(Path(root) / drive, [asked] if asked else cameras)
+        there = {name: _numbers(Path(root) / drive / name / "data") for name in ([asked] if asked else cameras)}
+        camera, indices = next(((name, numbers) for name, numbers in there.items() if numbers), ("", set()))
         if not indices:
             empty.append(f"{drive}/{asked or ' or '.join(cameras)}")
         moving = indices - {i for d, i in static if d == drive}
@@ -58,12 +60,6 @@ def drive_triplets(
     if not targets:
         raise InputError(f"{root}: no three consecutive moving frames in {', '.join(d for d, _ in chosen)}; training needs a triplet")
     return targets
-
-
-def _frames_of(drive: Path, cameras: Sequence[str]) -> tuple[str, set[int]]:
-    """The first camera that a drive has, and the numbers of its frames."""
-    found = ((camera, _numbers(drive / camera / "data")) for camera in cameras)
-    return next(((camera, numbers) for camera, numbers in found if numbers), (cameras[0], set()))
 
 
 def _numbers(folder: Path) -> set[int]:
@@ -97,42 +93,45 @@ def missing_files_error(what: str, root: str | Path, missing: Iterable[tuple[Fra
     return InputError(f"{root}: {count} files {what} are missing: {'; '.join(listed)}; get them with data_scripts/download_kitti.py")
 
 
-def write_targets(path: str | Path, root: str | Path, targets: Iterable[Frame]) -> None:
-    """Write targets as CSV `drive,camera,index,suffix`, atomically."""
-    rows = [(frame.drive, frame.camera, frame.index, suffix) for frame, suffix in with_suffix(root, targets)]
-    write_text(path, pd.DataFrame(rows, columns=["drive", "camera", "index", "suffix"]).to_csv(index=False))
+def raw_triplets(root: str | Path, targets: Iterable[Frame]) -> list[Triplet]:
+    """Triplets of targets, in their order; the files' suffix is looked up once a folder.
 
-
-def with_suffix(root: str | Path, targets: Iterable[Frame]) -> list[tuple[Frame, str]]:
-    """Targets and the suffix of their triplets' files, which is looked up once per folder."""
-    suffixes: dict[tuple[str, str], str] = {}
+    Raises:
+        InputError: a calibration is missing or cannot be read.
+    """
+    matrix = functools.cache(functools.partial(intrinsics, root))
+    suffixes: dict[Path, str] = {}
     found = []
     for frame in targets:
-        key = frame.drive, frame.camera
-        if key not in suffixes:
-            suffixes[key] = (image_path(root, frame) or Path(f"any{SUFFIXES[0]}")).suffix
-        found.append((frame, suffixes[key]))
+        folder = Path(root) / frame.drive / frame.camera / "data"
+        if folder not in suffixes:
+            suffixes[folder] = (image_path(root, frame) or Path(f"any{SUFFIXES[0]}")).suffix
+        target, previous, following = (folder / f"{frame.index + offset:010d}{suffixes[folder]}" for offset in (0, -1, 1))
+        found.append(Triplet(str(frame), (target, previous, following), matrix(frame.date, frame.camera), frame.drive))
     return found
 
 
-def read_targets(path: str | Path) -> list[tuple[Frame, str]]:
-    """Read what `write_targets` wrote: (target, suffix).
+def write_triplets(path: str | Path, root: str | Path, triplets: Iterable[Triplet]) -> None:
+    """Write triplets of files below `root` as CSV, atomically."""
+    rows = [
+        (t.drive, t.name, *(file.relative_to(root).as_posix() for file in t.paths), *t.intrinsics[[0, 1, 0, 1], [0, 1, 2, 2]])
+        for t in triplets
+    ]
+    columns = ["drive", "name", "target", "previous", "next", "fx", "fy", "cx", "cy"]
+    write_text(path, pd.DataFrame(rows, columns=columns).to_csv(index=False))
+
+
+def load_triplets(path: str | Path, root: str | Path) -> list[Triplet]:
+    """What `write_triplets` wrote, in its order, with full paths.
 
     Raises:
         InputError: the file is missing or not such a CSV.
     """
+    found = []
     with reading(path, "run notebook 02_prepare_data"), open(path, newline="", encoding="utf-8") as file:
-        return [(Frame(r["drive"], int(r["index"]), r["camera"]), r["suffix"]) for r in csv.DictReader(file)]
-
-
-def triplet_paths(root: str | Path, frame: Frame, suffix: str) -> tuple[Path, Path, Path]:
-    """Image files of a target, its previous and its next frame."""
-    folder = Path(root) / frame.drive / frame.camera / "data"
-    target, previous, following = (folder / f"{frame.index + offset:010d}{suffix}" for offset in (0, -1, 1))
-    return target, previous, following
-
-
-def load_triplets(path: str | Path, root: str | Path) -> list[Triplet]:
-    """Prepared triplets with full paths and intrinsics, in the list's order."""
-    matrix = functools.cache(functools.partial(intrinsics, root))
-    return [Triplet(str(f), triplet_paths(root, f, suffix), matrix(f.date, f.camera)) for f, suffix in read_targets(path)]
+        for row in csv.DictReader(file):
+            target, previous, following = (Path(root) / row[name] for name in ("target", "previous", "next"))
+            fx, fy, cx, cy = (float(row[name]) for name in ("fx", "fy", "cx", "cy"))
+            matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
+            found.append(Triplet(row["name"], (target, previous, following), matrix, row["drive"]))
+    return found

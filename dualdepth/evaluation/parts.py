@@ -1,6 +1,6 @@
 """Parts of an image: near and far, and regions that label maps name (paper, tables "… distant objects", "… SA module in regions")."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -22,11 +22,14 @@ def near_and_far(_: int, pixels: Pixels) -> dict[str, np.ndarray]:
     return dict(zip(PARTS, (~far, far)))
 
 
-def in_regions(label_maps: Sequence[np.ndarray], names: Sequence[object]) -> Parts:
-    """Masks of `REGIONS`, for `evaluate_parts`, from the images' label maps (H, W) of Cityscapes training ids, and the maps' names."""
+def in_regions(label_map: Callable[[int], np.ndarray], names: Sequence[object]) -> Parts:
+    """Masks of `REGIONS`, for `evaluate_parts`.
+
+    `label_map` gives the map (H, W) of Cityscapes training ids of an image by its place; `names` are those of the maps' files.
+    """
 
     def parts(number: int, pixels: Pixels) -> dict[str, np.ndarray]:
-        labels = label_maps[number]
+        labels = label_map(number)
         if labels.shape != pixels.shape:
             sizes = "the label map is of {}x{} pixels, the ground truth of {}x{}".format(*labels.shape, *pixels.shape)
             raise InputError(f"{names[number]}: {sizes}; make the label maps from the images of this ground truth")

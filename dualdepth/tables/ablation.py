@@ -5,8 +5,7 @@ from collections.abc import Sequence
 import pandas as pd
 
 from dualdepth.run import Run
-from dualdepth.tables.claims import claims_of
-from dualdepth.tables.rows import comparisons, method_row, paired, with_paper
+from dualdepth.tables.rows import method_row, with_paper
 from dualdepth.tables.scores import Scores, collect, scored
 
 VARIANTS = (
@@ -26,8 +25,3 @@ def ablation_table(run: Run, scores: Scores) -> pd.DataFrame:
     """The paper's three rows and ours: the same three, then the extras; means and standard deviations over seeds."""
     rows = [method_row(scores, variant, note=scored(run).note) for variant in VARIANTS]
     return with_paper("ablation", [{"method": run.profile.variant(row["variant"]).label, **row} for row in rows])
-
-
-def ablation_claims(scores: Scores) -> pd.DataFrame:
-    """Every pair that the paper argues with, paired."""
-    return comparisons(row for claim in claims_of("ablation") for row in paired(scores, claim.a, claim.b))

@@ -13,8 +13,7 @@ from dualdepth.device import default_device, device_name, has_bf16
 from dualdepth.evaluation.cost import count, latency
 from dualdepth.networks.architecture import Architecture
 from dualdepth.run import Run
-from dualdepth.tables.claims import claims_of
-from dualdepth.tables.rows import MEASURED, comparisons, method_row, not_run, paired, with_paper
+from dualdepth.tables.rows import MEASURED, method_row, not_run, with_paper
 from dualdepth.tables.scores import Scores, collect, scored
 
 NO_WEIGHTS = "no ImageNet weights in this profile: `training.pretrained` is false"
@@ -78,8 +77,3 @@ def backbone_table(run: Run, scores: Scores, repeats: int = 3) -> pd.DataFrame:
     begun = method_row(scores, "dual", note=note) if pretrained else {"variant": "dual", **not_run(NO_WEIGHTS)}
     new = method_row(scores, "dual_scratch" if pretrained else "dual", note=note)
     return with_paper("backbone", [*rows, {"backbone": "w/ pt", **begun}, {"backbone": "w/o pt", **new}])
-
-
-def backbone_claims(scores: Scores) -> pd.DataFrame:
-    """The paper's claims about backbones, paired. Single networks begin with a new PoseNet, the dual one after a whole stage 1."""
-    return comparisons(row for claim in claims_of("backbone") for row in paired(scores, claim.a, claim.b))

@@ -10,6 +10,7 @@ from dualdepth import paper
 from dualdepth.evaluation.depth import METRICS
 from dualdepth.evaluation.leaks import check_leak
 from dualdepth.evaluation.statistics import Comparison, compare
+from dualdepth.tables.claims import claims_of
 from dualdepth.tables.scores import SEEDLESS, Scores
 
 MEASURED, NOT_RUN = "measured", "not run"
@@ -122,6 +123,11 @@ def comparisons(rows: Iterable[dict[str, Any]], *more: str) -> pd.DataFrame:
     """The table of comparisons; `more` columns stand behind `of`."""
     table = pd.DataFrame(list(rows), columns=[COMPARISON[0], *more, *COMPARISON[1:]])
     return _with_words(table, ["of", *more, "metric", "better", "in_words", "reason"])
+
+
+def claims_table(scores: Scores, table: str) -> pd.DataFrame:
+    """The pairs that the paper's claims about a table of whole images name, such as `ablation`, compared with the better one first."""
+    return comparisons(row for claim in claims_of(table) for row in paired(scores, claim.a, claim.b))
 
 
 def _with_words(table: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from dualdepth.data.label_maps import LabelMaps, label_path
+from dualdepth.data.label_maps import label_path
 from dualdepth.errors import reading
 from dualdepth.evaluation.depth import METRICS
 from dualdepth.evaluation.parts import REGIONS, in_regions
@@ -53,11 +53,11 @@ def region_scores(run: Run, seeds: Sequence[int]) -> Scores:
     root, frames = Sources.load(run).labels_root, scored(run)
     if root is None:
         return collect(run, METHODS, seeds, reason=NO_LABELS)
-    labels = LabelMaps(root, frames.frames)
+    paths = [label_path(root, frame) for frame in frames.frames]
     required = f"a valid pixel of {' or '.join(REGIONS)}; check the label maps, the crop and the depth limits"
 
     def score(training: Trained) -> pd.DataFrame:
-        return training.parts(in_regions(labels, labels.paths), required=required)
+        return training.parts(in_regions(frames.label_map, paths), required=required)
 
     return collect(run, METHODS, seeds, score)
 

@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from accelerate import Accelerator, DistributedDataParallelKwargs, PartialState
-from accelerate.utils import broadcast_object_list, set_seed
+from accelerate import Accelerator, DistributedDataParallelKwargs
+from accelerate.utils import set_seed
 from torch.optim.swa_utils import AveragedModel
 from torch.utils.data import DataLoader, default_collate
 from tqdm import tqdm
 
 from dualdepth.data.loading import StatelessBatches, TripletDataset, make_loader
 from dualdepth.data.triplets import Triplet
-from dualdepth.device import Precision, choose_precision, default_device, device_name, is_main_process, process_count, several_on_cpu
+from dualdepth.device import choose_precision, default_device, device_name, is_main_process, several_on_cpu
 from dualdepth.errors import InputError
 from dualdepth.files import check_writable, remove_leftovers
 from dualdepth.geometry import to_unit
@@ -80,7 +80,8 @@ class Trainer:
         self.dataset = TripletDataset(triplets, profile.data.hr_size, self.settings.augmentation, seed)
         checkpoint = last_checkpoint(self.folder, lambda line: print(line) if is_main_process() else None)
         resumed = bool(checkpoint) and checkpoint["recipe"] == recipe
-        self.precision = checkpoint["precision"] if resumed else self._choose_precision(make_model)
+        chosen = choose_precision(self.settings.precision, default_device(), profile.data.lr_size)
+        self.precision = checkpoint["precision"] if resumed else chosen
         # heads of scales that the loss does not look at get no gradient, nor does a depth network while PoseNet learns alone
         unused = self.settings.loss.scales < 4 or self.settings.beyond_paper_corridor_steps > 0
         ddp = DistributedDataParallelKwargs(find_unused_parameters=unused)
@@ -96,28 +97,6 @@ class Trainer:
         if checkpoint and not resumed:
             step = checkpoint["step"]
             self.accelerator.print(f"{self.folder}: settings or code changed since the checkpoint of step {step}; training from the start")
-
-    def _choose_precision(self, make_model: Callable[[], Stage]) -> Precision:
-        """The profile's, or the one in which a step is faster; the main process chooses for all."""
-        device = default_device()
-
-        def seconds(precision: Precision) -> float:
-            return step_seconds(make_model(), self._first_batch(self.settings.accumulate, process_count()), device, precision)
-
-        chosen = [choose_precision(self.settings.precision, device, self.profile.data.lr_size, seconds) if is_main_process() else "float32"]
-        if process_count() > 1:
-            PartialState(cpu=several_on_cpu())
-            broadcast_object_list(chosen)
-        return chosen[0]
-
-    def _batches(self, start: int, stop: int, accumulate: int = 1, processes: int = 1, rank: int = 0) -> StatelessBatches:
-        """The samples of steps from `start` to `stop`, of each batch's parts the share of one process."""
-        shares = {"accumulate": accumulate, "processes": processes, "rank": rank}
-        return StatelessBatches(len(self.triplets), self.stage.batch_size, self.seed, start, stop, **shares)
-
-    def _first_batch(self, accumulate: int = 1, processes: int = 1) -> dict[str, Any]:
-        """The batch of step 1, or the first process's share of its first part."""
-        return default_collate([self.dataset[key] for key in next(iter(self._batches(0, 1, accumulate, processes)))])
 
     def _prepare(self, make_model: Callable[[], Stage], checkpoint: dict[str, Any] | None) -> None:
         """Model and optimiser, new or as the checkpoint has them, on this process's device."""
@@ -146,7 +125,9 @@ class Trainer:
             for path in checkpoint_paths(self.folder):
                 path.unlink(missing_ok=True)
         if not checkpoint and isinstance(model.depth_net, DualNet):
-            model.depth_net.begin(to_unit(self._first_batch()["images"][:, 0]))
+            keys = next(iter(StatelessBatches(len(self.triplets), self.stage.batch_size, self.seed, 0, 1)))
+            first = default_collate([self.dataset[key] for key in keys])
+            model.depth_net.begin(to_unit(first["images"][:, 0]))
         self.model, self.optimizer = self.accelerator.prepare(model, optimizer)
         decay, model = self.settings.beyond_paper_average, self.accelerator.unwrap_model(self.model)
         self.average = AveragedModel(model, multi_avg_fn=running_mean(decay), use_buffers=True) if decay else None
@@ -161,20 +142,22 @@ class Trainer:
                 batch).
             SystemExit: SIGTERM came; a checkpoint was written first.
         """
-        shares = self.settings.accumulate, self.accelerator.num_processes, self.accelerator.process_index
-        batches = one_line_errors(make_loader(self.dataset, self._batches(self.start, self.total, *shares), self.settings.workers))
+        accelerator = self.accelerator
+        shares = {"accumulate": self.settings.accumulate, "processes": accelerator.num_processes, "rank": accelerator.process_index}
+        samples = StatelessBatches(len(self.triplets), self.stage.batch_size, self.seed, self.start, self.total, **shares)
+        batches = one_line_errors(make_loader(self.dataset, samples, self.settings.workers))
         log = TrainingLog(self.folder, self.start, tqdm.write) if self.main else None
         self.model.train()
         began = time.perf_counter()
         name = f"{self.folder.parent.name} {self.folder.name}"
         bar = tqdm(total=self.total, initial=self.start, desc=name, unit="step", disable=not self.main)
-        with bar, contextlib.closing(batches), stop_request(self.accelerator) as stop_requested:
+        with bar, contextlib.closing(batches), stop_request(accelerator) as stop_requested:
             for step in range(self.start + 1, self.total + 1):
                 logged = step % self.settings.log_every == 0 or step in (1, self.total)
                 output, statistics = self._step(step, batches, logged)
                 bar.update()
                 if logged:
-                    values = combine(self.accelerator, statistics)
+                    values = combine(accelerator, statistics)
                 if log and logged:
                     rate = (step - self.start) / (time.perf_counter() - began)
                     log.row(step, values | {"learning_rate": self.optimizer.param_groups[0]["lr"], "steps_per_second": rate})
@@ -267,21 +250,6 @@ def running_mean(decay: float) -> Callable[[Sequence[torch.Tensor], Sequence[tor
             mean.lerp_(value, share) if mean.is_floating_point() else mean.copy_(value)
 
     return update
-
-
-def step_seconds(model: Stage, batch: dict[str, Any], device: torch.device, precision: Precision) -> float:
-    """Seconds of a forward and a backward pass, the second of two: the first one makes room in memory."""
-    model = model.to(device, memory_format=torch.channels_last if model.channels_last else torch.preserve_format)
-    batch = {k: v.to(device) if torch.is_tensor(v) else v for k, v in batch.items()}
-    for _ in range(2):
-        began = time.perf_counter()
-        with torch.autocast(device.type, torch.bfloat16, enabled=precision == "bf16"):
-            total = model(batch).losses.total
-        total.backward()
-        if device.type == "cuda":
-            torch.cuda.synchronize()
-        seconds = time.perf_counter() - began
-    return seconds
 
 
 def one_line_errors(loader: DataLoader) -> Iterator[dict[str, Any]]:

@@ -5,8 +5,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from dualdepth.data.odometry import drives_of, load_odometry_triplets
-from dualdepth.data.triplets import Triplet, load_triplets, read_targets
+from dualdepth.data.odometry import drives_of
+from dualdepth.data.triplets import Triplet, load_triplets
 from dualdepth.device import is_main_process, keep_freed_memory, wait_for_everyone
 from dualdepth.errors import InputError
 from dualdepth.files import check_writable, locked, write_text
@@ -59,10 +59,9 @@ def training_data(run: Run, name: str) -> tuple[list[Triplet], list[str]]:
     if odometry and sources.odometry_root is None:
         raise InputError(f"variant {name} needs ODOMETRY_ROOT; get it with python data_scripts/download_kitti.py --root DIR --odometry")
     index = run.require(run.index(name), "02_prepare_data")
-    if not odometry:
-        return load_triplets(index, sources.kitti_root), sorted({frame.drive for frame, _ in read_targets(index)})
-    triplets, sequences = load_odometry_triplets(index, sources.odometry_root)
-    return triplets, drives_of(sequences, world=run.profile.world is not None)
+    triplets = load_triplets(index, sources.odometry_root if odometry else sources.kitti_root)
+    drives = sorted({triplet.drive for triplet in triplets})
+    return triplets, drives_of(drives, world=run.profile.world is not None) if odometry else drives
 
 
 def start_weights(run: Run, name: str, seed: int) -> Path | None:

@@ -4,7 +4,7 @@ import pytest
 from small_kitti import DRIVE, write_calibration, write_drive
 
 from dualdepth.data.kitti import Frame, image_path
-from dualdepth.data.triplets import drive_triplets, load_triplets, missing_files_error, missing_neighbours, read_targets, write_targets
+from dualdepth.data.triplets import drive_triplets, load_triplets, missing_files_error, missing_neighbours, raw_triplets, write_triplets
 from dualdepth.errors import InputError
 
 OTHER = "2011_09_28/2011_09_28_drive_0002_sync"
@@ -67,10 +67,9 @@ def test_written_targets_read_back_as_triplets_of_real_files(tmp_path, suffix):
     write_calibration(tmp_path, focal=100.0)
     write_drive(tmp_path, range(4), size=(8, 8), suffix=suffix)
     targets = drive_triplets(tmp_path, [DRIVE])
-    write_targets(tmp_path / "out/triplets.csv", tmp_path, targets)
-    assert [frame for frame, _ in read_targets(tmp_path / "out/triplets.csv")] == targets
+    write_triplets(tmp_path / "out/triplets.csv", tmp_path, raw_triplets(tmp_path, targets))
     triplets = load_triplets(tmp_path / "out/triplets.csv", tmp_path)
-    assert [t.name for t in triplets] == [str(f) for f in targets]
+    assert [(t.name, t.drive) for t in triplets] == [(str(f), DRIVE) for f in targets]
     assert triplets[0].intrinsics[0, 0] == 100
     for triplet, frame in zip(triplets, targets):
         assert triplet.paths == tuple(image_path(tmp_path, frame._replace(index=frame.index + o)) for o in (0, -1, 1))

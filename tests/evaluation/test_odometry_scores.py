@@ -171,12 +171,6 @@ def test_segments_equal_the_slow_reference_and_need_both_ends(share):
     np.testing.assert_allclose(errors[["t_err", "r_err"]], [row[1:] for row in expected.values()], rtol=1e-6)
 
 
-def test_a_segment_ends_at_the_first_frame_beyond_its_length():
-    errors = segment_errors(drive(straight(202)), drive(straight(202, 0.9)))
-    assert [(r.first, r.last, r.length) for r in errors.itertuples()][:2] == [(0, 101, 100), (0, 201, 200)]
-    np.testing.assert_allclose(errors["t_err"], [100 * 0.1 * (length + 1) / length for length in errors["length"]])
-
-
 def test_yaw_drift_in_closed_form():
     truth = straight(300)
     prediction = truth.copy()

@@ -38,7 +38,7 @@ def sample(seed, size=(23, 31)):
 
 
 def evaluate_regions(predictions, truths, labels, **protocol):
-    parts = in_regions(labels, [f"{number}.png" for number in range(len(labels))])
+    parts = in_regions(labels.__getitem__, [f"{number}.png" for number in range(len(labels))])
     return evaluate_parts(predictions, truths, parts, required="a pixel of a region", **protocol)
 
 
@@ -48,7 +48,7 @@ def evaluate_regions(predictions, truths, labels, **protocol):
 def test_both_parts_equal_the_slow_reference(kind, own_ratio, by):
     samples = [sample(seed) for seed in range(3)]
     predictions, truths, labels = zip(*samples)
-    parts = near_and_far if by == "distance" else in_regions(labels, labels)
+    parts = near_and_far if by == "distance" else in_regions(labels.__getitem__, labels)
     frame = evaluate_parts(predictions, truths, parts, own_ratio=own_ratio, kind=kind, crop="none", **LIMITS)
     assert frame.index.names == ["image", "part"]
     for image, (prediction, truth, ids) in enumerate(samples):

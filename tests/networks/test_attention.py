@@ -101,27 +101,17 @@ def test_it_computes_in_float32_under_bfloat16(mixing):
 
 
 @pytest.mark.parametrize(("similarity", "normalise"), SETTINGS)
-def test_large_features_give_finite_results_and_gradients(similarity, normalise):
+def test_gradients_are_those_of_finite_differences_and_finite_for_large_features_and_equal_positions(similarity, normalise):
     attention = attention_of(similarity, normalise)
+    assert gradcheck(lambda f: f @ attention.weights(f), embedded(positions=4, width=3).requires_grad_())
     features, image = inputs()
     found = attention(1e6 * features, image)
     found.mean().backward()
-    assert found.isfinite().all()
-    assert all(p.grad.isfinite().all() for p in attention.parameters())
-
-
-@pytest.mark.parametrize("value", [0.0, 1.0])
-@pytest.mark.parametrize(("similarity", "normalise"), SETTINGS)
-def test_equal_positions_have_finite_gradients(similarity, normalise, value):
-    f = torch.full((1, 4, 6), value, requires_grad=True)
-    (f @ attention_of(similarity, normalise).weights(f)).sum().backward()
-    assert f.grad.isfinite().all()
-
-
-@pytest.mark.parametrize(("similarity", "normalise"), SETTINGS)
-def test_its_gradients_are_those_of_finite_differences(similarity, normalise):
-    attention = attention_of(similarity, normalise)
-    assert gradcheck(lambda f: f @ attention.weights(f), embedded(positions=4, width=3).requires_grad_())
+    assert found.isfinite().all() and all(p.grad.isfinite().all() for p in attention.parameters())
+    for value in (0.0, 1.0):
+        f = torch.full((1, 4, 6), value, requires_grad=True)
+        (f @ attention.weights(f)).sum().backward()
+        assert f.grad.isfinite().all()
 
 
 @pytest.mark.parametrize("mixing", [True, False])

@@ -10,7 +10,7 @@ from torch.nn import functional as F
 
 from dualdepth.evaluation.cost import count
 from dualdepth.networks import Link
-from dualdepth.networks.attention import STARTING_RMS, SelfAssembledAttention
+from dualdepth.networks.attention import STARTING_RMS
 from dualdepth.networks.depth_nets import RESIDUAL_FLOOR, DualNet, HREncoder, HRNet, LRNet
 
 SMALL, SIZE = (64, 96), (192, 288)
@@ -223,13 +223,6 @@ def test_what_is_handed_over_is_enlarged_three_times_bilinearly(dual_of, link):
         (enlarged[..., 0, ::8], handed[..., 0, ::2]),  # the border's value beyond the last centre
     ):
         assert torch.allclose(found, expected, atol=1e-4 * handed.abs().max().item())
-
-
-@pytest.mark.parametrize(("link", "mixes"), [("attention", True), ("embedding", False)])
-def test_the_link_and_its_settings_reach_sa_attention(dual_of, link, mixes):
-    attention = dual_of(link, similarity="l2", normalise="mean").attention
-    assert isinstance(attention, SelfAssembledAttention)
-    assert (attention.mixing, attention.similarity, attention.normalise) == (mixes, "l2", "mean")
 
 
 def test_lr_nets_decoder_changes_nothing_and_gives_its_depth_beside(dual_of):

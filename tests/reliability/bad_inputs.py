@@ -127,7 +127,6 @@ FRAMES = [
     *cases("PNG frames", PNG, NO_FILE | QUARTERS | {"truncated by a byte": lambda whole: whole[:-13], "a wrong checksum": turned(0.5)}),
     *cases("PNG frames", PNG, {"gigapixels": png_of_gigapixels, "another size": redrawn(lambda picture: picture.resize((100, 90)))}),
     *cases("PNG frames", PNG, {"grey": image("L"), "16 bits": DEEP, "palette": image("P"), "alpha": image("RGBA")}, works=True),
-    *cases("PNG frames", CAMERAS, MISSING | {"no P_rect_02": replaced("P_rect_02", "Q_rect_02")}),
     *cases("JPEG frames", JPEG, NO_FILE | QUARTERS | {"gigapixels": jpeg_of_gigapixels}),
     *cases("JPEG frames", JPEG, {"grey": image("L", "jpeg"), "CMYK": image("CMYK", "jpeg")}, works=True),
     *cases("JPEG frames", JPEG, {"progressive": image("RGB", "jpeg", progressive=True)}, works=True),

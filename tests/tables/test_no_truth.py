@@ -4,6 +4,7 @@ import pytest
 
 from dualdepth.evaluation.depth import METRICS
 from dualdepth.tables import ablation, distance, main, sharpness
+from dualdepth.tables.rows import claims_table
 from dualdepth.tables.scores import NO_TRUTH, Trained
 
 SEEDS = [0]
@@ -15,7 +16,7 @@ TABLES = {
 }
 CLAIMS = {
     "main": lambda run: main.main_claims(main.main_scores(run, SEEDS)),
-    "ablation": lambda run: ablation.ablation_claims(ablation.ablation_scores(run, SEEDS)),
+    "ablation": lambda run: claims_table(ablation.ablation_scores(run, SEEDS), "ablation"),
     "distance": lambda run: distance.distance_claims(distance.distance_scores(run, SEEDS)),
     "sharpness": lambda run: sharpness.detail_claims(*sharpness.detail_scores(run, SEEDS)),
 }

@@ -4,8 +4,9 @@ import pytest
 
 from dualdepth import paper
 from dualdepth.profile import standard_variants
-from dualdepth.tables.ablation import VARIANTS, ablation_claims, ablation_scores, ablation_table
+from dualdepth.tables.ablation import VARIANTS, ablation_scores, ablation_table
 from dualdepth.tables.claims import claims_of
+from dualdepth.tables.rows import claims_table
 
 VALUES = {"lr": 0.30, "dual_no_sa": 0.22, "dual": 0.20, "dual_embedding_only": 0.20, "hr_only": 0.50}
 """Of the others: 0.4."""
@@ -30,7 +31,7 @@ def test_every_variant_has_the_row_of_its_own_scores_below_the_papers(scored, ma
 
 
 def test_every_claim_of_the_paper_is_compared_with_the_better_one_first(scored, make_run):
-    table = ablation_claims(ablation_scores(make_run(), [0, 1]))
+    table = claims_table(ablation_scores(make_run(), [0, 1]), "ablation")
     pairs = [(claim.a, claim.b) for claim in claims_of("ablation")]
     assert list(zip(table["a"], table["b"])) == [pair for pair in pairs for _ in range(2)] and len(pairs) == 7
     for row in table.itertuples():

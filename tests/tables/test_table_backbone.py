@@ -10,7 +10,8 @@ from dualdepth import paper
 from dualdepth.evaluation.cost import Latency, count
 from dualdepth.networks.architecture import Architecture
 from dualdepth.tables import backbone
-from dualdepth.tables.backbone import NETWORKS, NO_WEIGHTS, WITHOUT_DECODER, backbone_claims, backbone_scores, backbone_table, cost_row
+from dualdepth.tables.backbone import NETWORKS, NO_WEIGHTS, WITHOUT_DECODER, backbone_scores, backbone_table, cost_row
+from dualdepth.tables.rows import claims_table
 
 PRETRAINED = "training: {{pretrained: {}}}\n"
 VALUES = {"mobilenet_v2": 0.5, "resnet18": 0.4, "dual": 0.2, "lr": 0.3, "dual_scratch": 0.25}
@@ -124,7 +125,8 @@ ALL = "train: {lr: , lr_scratch: , dual: , dual_scratch: , resnet18: , mobilenet
 
 @pytest.mark.parametrize("pretrained", [True, False])
 def test_claims_are_compared_with_the_better_one_first_and_that_of_imagenet_weights_only_with_them(scored, make_run, pretrained):
-    table = backbone_claims(backbone_scores(make_run("own", kitti=PRETRAINED.format(str(pretrained).lower()) + ALL), [0, 1]))
+    run = make_run("own", kitti=PRETRAINED.format(str(pretrained).lower()) + ALL)
+    table = claims_table(backbone_scores(run, [0, 1]), "backbone")
     errors = table[table["metric"] != "a1"].set_index("b")
     assert list(errors.index) == ["resnet18", "mobilenet_v2", "dual_scratch"] and errors["a"].eq("dual").all()
     assert errors["reason"].tolist() == ["", "", "" if pretrained else NO_WEIGHTS]

@@ -8,7 +8,6 @@ from small_training import STEPS, WIDE, at_forward, kill, kill_softly, log_of
 
 from dualdepth.training.checkpoints import last_checkpoint
 from dualdepth.training.log import read_log
-from dualdepth.training.loop import step_seconds
 from dualdepth.training.stages import Stage
 from dualdepth.training.weights import load_card
 
@@ -105,27 +104,6 @@ def test_a_training_ends_in_the_precision_in_which_it_began(run, profile_of, tmp
     assert equal(run("cut", profile=profile), whole)
     assert "in float32" in capsys.readouterr().out
     assert load_card(tmp_path / "cut/model.safetensors")["precision"] == "float32"
-
-
-def test_auto_times_a_part_of_a_batch_in_each_precision_takes_the_faster_and_leaves_no_trace(run, profile_of, tmp_path, monkeypatch):
-    timed = {}
-
-    def timing(model, batch, device, precision):
-        assert len(batch["images"]) == 1
-        timed[precision] = step_seconds(model, batch, device, precision)
-        return timed[precision]
-
-    monkeypatch.setattr("dualdepth.device.has_bf16", lambda device: True)
-    monkeypatch.setattr("dualdepth.training.loop.step_seconds", timing)
-
-    def cut(precision):
-        return profile_of(training={"precision": precision, "accumulate": 2}, stage={"batch_size": 2}, hr_size=WIDE)
-
-    found = run("auto", profile=cut("auto"))
-    assert set(timed) == {"float32", "bf16"} and min(timed.values()) > 0
-    faster = min(timed, key=timed.get)
-    assert load_card(tmp_path / "auto/model.safetensors")["precision"] == faster
-    assert equal(run("given", profile=cut(faster)), found)
 
 
 def test_a_checkpoint_of_another_recipe_is_not_resumed(run, whole, tmp_path, capsys):

@@ -11,7 +11,8 @@ from small_kitti import DRIVE, write_sequence
 from small_nets import equal
 from small_stages import OTHER, STEPS, change_card, part
 
-from dualdepth.data.odometry import write_odometry_index
+from dualdepth.data.odometry import odometry_triplets
+from dualdepth.data.triplets import write_triplets
 from dualdepth.errors import InputError
 from dualdepth.files import file_digest, locked
 from dualdepth.model import load
@@ -210,7 +211,7 @@ def test_odometry_is_trained_on_its_own_triplets_and_names_the_raw_drives(traine
     sources.save(run)
     with pytest.raises(InputError, match=r"odometry\.csv is missing: run notebook 02"):
         train_variant(run, "odometry_lr", 0)
-    write_odometry_index(run.index("odometry_lr"), sources.odometry_root, ["02"])
+    write_triplets(run.index("odometry_lr"), sources.odometry_root, odometry_triplets(sources.odometry_root, ["02"]))
     for name in ("odometry_lr", "odometry_dual"):
         card = load_card(train_variant(run, name, 0))
         assert card["drives"] == ["2011_10_03/2011_10_03_drive_0034_sync"] and "on 2 triplets" in card["about"]
