@@ -132,13 +132,14 @@ def _number(kind: type, above: float = 0, below: float = math.inf) -> Callable[[
             raise argparse.ArgumentTypeError(f"{text} must be above {above:g} and below {below:g}")
         return value
 
+    number.__name__ = "whole number" if kind is int else "number"
     return number
 
 
 def _predict_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("inputs", nargs="+", metavar="INPUT", help="image, video, folder of them, or pattern in quotes ('in/**/*.jpg')")
     weights = "model.safetensors with its card beside it, its folder, or owner/name on the model hub"
-    parser.add_argument("--weights", metavar="W", help=f"{weights}; left out, those that come with the package")
+    parser.add_argument("--weights", metavar="W", help=f"{weights}; left out, those that come with the package, if there are some")
     parser.add_argument("--out", required=True, metavar="DIR", help="folder of the results; predictions.json in it says what is what")
     parser.add_argument(
         "--save",

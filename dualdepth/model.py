@@ -25,7 +25,7 @@ UNIT = 16.0
 """Relative depth is reported as 16 / disparity (1.6 … 1600). Stored as uint16 × 256, as KITTI's, that resolves near depths to 0.25 %."""
 WEIGHTS = "model.safetensors"
 RELEASED = Path(__file__).parent / "released"
-"""Weights that come with the package, of a network that learned from real KITTI; `make publish` of that profile writes them."""
+"""Weights that come with the package, if there are some: `python -m dualdepth.notebooks weights --profile …` writes them."""
 HUB_OPTIONS = ("revision", "cache_dir", "token", "local_files_only", "force_download")
 README = """---
 library_name: dualdepth
@@ -175,6 +175,8 @@ class DepthModel(nn.Module, ModelHubMixin):
             raise TypeError(f"from_pretrained() has no option {', '.join(unknown)}; there are device, precision, {', '.join(HUB_OPTIONS)}")
         path = Path(name)
         if not path.exists():
+            if path == RELEASED:
+                raise InputError("this package comes without weights: name some, such as model.safetensors of a training")
             if path.is_absolute() or path.suffix == ".safetensors":
                 raise InputError(f"{name}: no such weights; give {WEIGHTS} of a training, its folder, or a name on the model hub")
             try:

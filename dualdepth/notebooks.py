@@ -146,7 +146,8 @@ def publish_weights(profile: str) -> int:
     """Put the dual network of a profile's first seed into the package, in half precision, with its scores and licence on its card.
 
     Raises:
-        InputError: the profile has no trained dual network or no main table yet.
+        InputError: the profile has no trained dual network or no main table yet, or its numbers are not those of one training from KITTI's
+            frames, scored on drives that it did not see.
     """
     import pandas as pd
 
@@ -155,6 +156,10 @@ def publish_weights(profile: str) -> int:
     run = Run(profile)
     table = pd.read_csv(run.require(run.results / "tables" / "main.csv", "05_table_main")).query("source == 'measured'")
     row = table[table["method"] == run.profile.variant("dual").label].iloc[0]
+    if run.profile.data.source != "kitti" or len(run.profile.seeds) > 1 or pd.notna(row["leak"]):
+        raise InputError(
+            f"{run.results}: only weights of one seed from KITTI come with the package, scored on drives that they did not see"
+        )
     model = load(run.weights("dual", run.profile.seeds[0]), "cpu").half()
     model.card |= {"scores": {name: float(row[name]) for name in ("abs_rel", "a1")}, "scored_on": f"{row['n']} frames of other drives"}
     model.card |= {"licence": LICENCE}

@@ -167,9 +167,11 @@ def _read(name: str) -> tuple[Path, dict[str, Any]]:
         raise InputError(f"{path}: expected a mapping of settings, found {type(values).__name__}")
     if (base := values.pop("extends", None)) is None:
         return path, values
-    if base not in {p.stem for p in PROFILES.glob("*.yaml")} - {path.stem}:
-        raise InputError(f"{path}: extends {base!r}, which is no shipped profile; name one, such as miniature or paper")
-    return path, _laid_over(_read(base)[1], values)
+    known = sorted(p.stem for p in PROFILES.glob("*.yaml") if p != path)
+    if base not in known:
+        raise InputError(f"{path}: extends {base!r}, which is no shipped profile; name one of {', '.join(known)}")
+    # what its numbers are numbers of, and what of them is judged, a profile says itself
+    return path, _laid_over({k: v for k, v in _read(base)[1].items() if k not in ("about", "verdicts")}, values)
 
 
 def _laid_over(base: dict[str, Any], change: dict[str, Any]) -> dict[str, Any]:

@@ -279,8 +279,11 @@ def stop_request(accelerator: Accelerator) -> Iterator[Callable[[], bool]]:
             accelerator.set_trigger()
         return accelerator.check_trigger()
 
-    before = signal.signal(signal.SIGTERM, lambda number, _: noted.append(number))
+    before = None
+    with contextlib.suppress(ValueError):  # only a main thread can be told
+        before = signal.signal(signal.SIGTERM, lambda number, _: noted.append(number))
     try:
         yield stop_requested
     finally:
-        signal.signal(signal.SIGTERM, before)
+        if before is not None:
+            signal.signal(signal.SIGTERM, before)

@@ -120,6 +120,7 @@ def _card(run: Run, name: str, triplets: int, drives: list[str], start: Path | N
         # whether the encoder began with ImageNet's weights, here or in stage 1
         "pretrained": variant.network != "hr" and (before["pretrained"] if before else bool(profile.training.pretrained)),
         "drives": sorted(set(drives) | set(before["drives"] if before else ())),
+        "average": profile.training.beyond_paper_average,
         "starts_from": {k: before[k] for k in ("variant", "seed", "steps", "sha256")} if before else None,
         "stamp": run.stamp([run.index(name), *([start] if start else [])]),
     }

@@ -57,7 +57,7 @@ def test_a_variant_that_is_not_trained_says_so_and_is_not_asked_for_scores(make_
     ("variant", "card", "note"),
     [
         ("lr", {"pretrained": True, "steps": 156}, "resnet34, 128x416, ImageNet weights, 156 steps, last epoch"),
-        ("lr_scratch", {"steps": 157}, "resnet34, 128x416, no ImageNet weights, 157 steps, last epoch"),
+        ("lr_scratch", {"steps": 157, "average": 0.99}, "resnet34, 128x416, no ImageNet weights, 157 steps, weights averaged"),
         ("dual", {"starts_from": {"steps": 156}}, "resnet34, 384x1248, no ImageNet weights, 100 steps after 156 of stage 1, last epoch"),
         ("mobilenet_v2", {"encoder": "mobilenet_v2"}, "mobilenet_v2, 384x1248, no ImageNet weights, 100 steps, last epoch"),
         ("hr_only", {"starts_from": {"steps": 156}}, "384x1248, no ImageNet weights, 100 steps after 156 of stage 1, last epoch"),

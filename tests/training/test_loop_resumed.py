@@ -35,21 +35,23 @@ def test_a_stop_while_posenet_learns_alone_or_after_it_changes_nothing(run, prof
     assert equal(run("cut", profile=profile), whole)
 
 
-def test_the_running_mean_of_weights_is_kept_and_goes_on_after_a_stop(run, profile_of, whole, tmp_path):
-    seen = []
+@pytest.mark.parametrize("corridor", [0, 2])
+def test_the_running_mean_of_weights_after_a_corridor_is_kept_and_goes_on_after_a_stop(run, profile_of, corridor):
+    seen, settings = [], {"beyond_paper_corridor_steps": corridor}
 
     class Noting(Stage):
         def forward(self, batch, *phase):
             seen.append({name: value.detach().clone() for name, value in self.state_dict().items()})
             return super().forward(batch, *phase)
 
-    profile = profile_of(training={"beyond_paper_average": 0.6})
+    last = run("last", profile=profile_of(training=settings))
+    profile = profile_of(training=settings | {"beyond_paper_average": 0.6})
     mean = run("whole", profile=profile, kind=Noting)
-    slow = seen[1]  # after step 1; what came after the last step is `whole`
-    for number, values in enumerate([*seen[2:], whole], start=1):
+    slow = seen[corridor + 1]  # after the first step that counts
+    for number, values in enumerate([*seen[corridor + 2 :], last], start=1):
         share = max(0.4, 9 / (10 + number))
         slow = {n: (1 - share) * slow[n] + share * v if v.is_floating_point() else v for n, v in values.items()}
-    assert all(torch.allclose(mean[name], value, atol=1e-6) for name, value in slow.items()) and not equal(mean, whole)
+    assert all(torch.allclose(mean[name], value, atol=1e-6) for name, value in slow.items()) and not equal(mean, last)
     for number in (1, 4):
         with pytest.raises(SystemExit):
             run("cut", profile=profile, kind=at_forward(number, kill_softly))
