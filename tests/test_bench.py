@@ -6,9 +6,8 @@ import torch
 from dualdepth.bench import median_step
 from dualdepth.profile import load_profile
 
-pytestmark = pytest.mark.slow
 
-
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["lr", "dual"])
 def test_a_step_is_timed_by_its_parts(name, encoder):
     training = load_profile("tiny").training.model_copy(update={"encoder": encoder})

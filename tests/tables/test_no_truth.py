@@ -4,7 +4,6 @@ import pytest
 
 from dualdepth.evaluation.depth import METRICS
 from dualdepth.tables import ablation, distance, main, sharpness
-from dualdepth.tables.rows import claims_table
 from dualdepth.tables.scores import NO_TRUTH, Trained
 
 SEEDS = [0]
@@ -13,12 +12,6 @@ TABLES = {
     "ablation": lambda run: ablation.ablation_table(run, ablation.ablation_scores(run, SEEDS)),
     "distance": lambda run: distance.distance_table(run, {False: distance.distance_scores(run, SEEDS)}),
     "sharpness": lambda run: sharpness.sharpness_table(sharpness.tenengrad_scores(run, SEEDS)),
-}
-CLAIMS = {
-    "main": lambda run: main.main_claims(main.main_scores(run, SEEDS)),
-    "ablation": lambda run: claims_table(ablation.ablation_scores(run, SEEDS), "ablation"),
-    "distance": lambda run: distance.distance_claims(distance.distance_scores(run, SEEDS)),
-    "sharpness": lambda run: sharpness.detail_claims(*sharpness.detail_scores(run, SEEDS)),
 }
 
 
@@ -35,9 +28,3 @@ def test_every_row_of_ours_is_without_numbers_and_says_why(run, table):
     assert len(ours) and (ours["source"] == "not run").all() and (ours["reason"] == NO_TRUTH).all()
     assert ours[[c for c in (*METRICS, "n", "tenengrad", "ratio") if c in ours]].isna().all(axis=None)
     assert made.loc[made["source"] == "paper"].notna().any(axis=None)
-
-
-@pytest.mark.parametrize("table", CLAIMS)
-def test_no_claim_is_compared(run, table):
-    made = CLAIMS[table](run)
-    assert len(made) and (made["metric"] == "").all() and made["reason"].eq(NO_TRUTH).all()
