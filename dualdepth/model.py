@@ -24,8 +24,6 @@ from dualdepth.training.weights import HUB_CARD, load_card, load_weights, save_w
 UNIT = 16.0
 """Relative depth is reported as 16 / disparity (1.6 … 1600). Stored as uint16 × 256, as KITTI's, that resolves near depths to 0.25 %."""
 WEIGHTS = "model.safetensors"
-RELEASED = Path(__file__).parent / "released"
-"""Weights that come with the package, if there are some: `python -m dualdepth.notebooks weights --profile …` writes them."""
 HUB_OPTIONS = ("revision", "cache_dir", "token", "local_files_only", "force_download")
 README = """---
 library_name: dualdepth
@@ -101,8 +99,7 @@ class DepthModel(nn.Module, ModelHubMixin):
         learned = self.card.get("about")
         learned = f"Learned by {learned}." if learned else "The card does not say what these weights were learned from."
         start = " The encoder began with ImageNet weights." if self.card.get("pretrained") else ""
-        licence = f" Weights: {self.card['licence']}." if self.card.get("licence") else ""
-        return f"Depth is relative: its unit is unknown. {learned}{start}{licence}"
+        return f"Depth is relative: its unit is unknown. {learned}{start}"
 
     def __repr__(self) -> str:
         return f"DepthModel({self.architecture.network}, {self.size[1]}×{self.size[0]}, {self.device}, {self.precision}): {self.about}"
@@ -175,8 +172,6 @@ class DepthModel(nn.Module, ModelHubMixin):
             raise TypeError(f"from_pretrained() has no option {', '.join(unknown)}; there are device, precision, {', '.join(HUB_OPTIONS)}")
         path = Path(name)
         if not path.exists():
-            if path == RELEASED:
-                raise InputError("this package comes without weights: name some, such as model.safetensors of a training")
             if path.is_absolute() or path.suffix == ".safetensors":
                 raise InputError(f"{name}: no such weights; give {WEIGHTS} of a training, its folder, or a name on the model hub")
             try:
@@ -201,13 +196,12 @@ class DepthModel(nn.Module, ModelHubMixin):
         return ModelCard(README.format(title=title, about=self.about, card=HUB_CARD))
 
 
-def load(weights: str | Path = RELEASED, device: str | torch.device | None = None, precision: Precision | None = None) -> DepthModel:
+def load(weights: str | Path, device: str | torch.device | None = None, precision: Precision | None = None) -> DepthModel:
     """Load trained weights.
 
     Args:
         weights: a `.safetensors` file with its card beside it (`<name>.json`, or `config.json`), as
-            `work/<profile>/runs/<variant>/seed<n>/model.safetensors`; the folder of one; or a name on the model hub, `owner/name`. Left
-            out, those that come with the package.
+            `work/<profile>/runs/<variant>/seed<n>/model.safetensors`; the folder of one; or a name on the model hub, `owner/name`.
         device: such as `cpu`, `cuda`, `cuda:1`, `mps`; None takes a GPU where there is one.
         precision: `float32` or `bf16`; None takes bf16 on a CUDA GPU that has it, else float32.
 

@@ -21,8 +21,6 @@ from dualdepth.run import Run, check_roots, parse_seeds, project_root
 DRY = re.compile(r"--dry-?run|-[a-z]*n[a-z]*")
 """Snakemake's options for only saying what it would run, such as `-np`."""
 
-LICENCE = "CC BY-NC-SA 3.0, as KITTI's images from which they were learned, for non-commercial research"
-"""Of weights that come with the package."""
 PICTURE_WIDTH = 900
 """Pixels that a picture in a published notebook has at most."""
 
@@ -142,32 +140,6 @@ def publish_results(profile: str) -> int:
     return files
 
 
-def publish_weights(profile: str) -> int:
-    """Put the dual network of a profile's first seed into the package, in half precision, with its scores and licence on its card.
-
-    Raises:
-        InputError: the profile has no trained dual network or no main table yet, or its numbers are not those of one training from KITTI's
-            frames, scored on drives that it did not see.
-    """
-    import pandas as pd
-
-    from dualdepth.model import RELEASED, load
-
-    run = Run(profile)
-    table = pd.read_csv(run.require(run.results / "tables" / "main.csv", "05_table_main")).query("source == 'measured'")
-    row = table[table["method"] == run.profile.variant("dual").label].iloc[0]
-    if run.profile.data.source != "kitti" or len(run.profile.seeds) > 1 or pd.notna(row["leak"]):
-        raise InputError(
-            f"{run.results}: only weights of one seed from KITTI come with the package, scored on drives that they did not see"
-        )
-    model = load(run.weights("dual", run.profile.seeds[0]), "cpu").half()
-    model.card |= {"scores": {name: float(row[name]) for name in ("abs_rel", "a1")}, "scored_on": f"{row['n']} frames of other drives"}
-    model.card |= {"licence": LICENCE}
-    model.save_pretrained(RELEASED)
-    print(f"{RELEASED}: {sum(path.stat().st_size for path in RELEASED.iterdir()) / 1e6:.1f} MB")
-    return 0
-
-
 def publish_notebooks() -> int:
     """Store the executed copies of `results/tiny/notebooks` as `notebooks/`, without what differs from run to run.
 
@@ -233,12 +205,11 @@ def _small_jpeg(png: str) -> str:
 def main(argv: list[str] | None = None) -> int:
     """Run the command line."""
     parser = argparse.ArgumentParser(description="Keep what a run made.")
-    parser.add_argument("what", choices=("results", "notebooks", "weights"))
+    parser.add_argument("what", choices=("results", "notebooks"))
     parser.add_argument("--profile", default="miniature")
     arguments = parser.parse_args(argv)
     with exit_on_input_error():
-        publish = {"results": publish_results, "weights": publish_weights}
-        publish_notebooks() if arguments.what == "notebooks" else publish[arguments.what](arguments.profile)
+        publish_notebooks() if arguments.what == "notebooks" else publish_results(arguments.profile)
     return 0
 
 

@@ -7,11 +7,9 @@ import cv2
 import nbformat
 import numpy as np
 import pytest
-import torch
 
 from dualdepth.errors import InputError
-from dualdepth.model import DepthModel, load
-from dualdepth.notebooks import publish_notebooks, publish_results, publish_weights
+from dualdepth.notebooks import publish_notebooks, publish_results
 from dualdepth.profile import PROFILES
 from dualdepth.run import Run
 
@@ -71,33 +69,6 @@ def test_results_of_code_that_was_not_committed_are_refused_by_name(project, res
     with pytest.raises(InputError, match=r"tiny: main_depth\.json, ablation\.json were made by code that was not committed; commit it"):
         publish_results("tiny")
     assert kept.read_text() == "kept"
-
-
-def test_weights_of_kitti_alone_come_with_the_package_in_half_precision_with_scores_and_licence(project, monkeypatch, tmp_path):
-    monkeypatch.setattr("dualdepth.model.RELEASED", tmp_path / "released")
-    (project / "own.yaml").write_text(KITTI)
-    for profile, row in (("own.yaml", "0.2,0.7,26,"), ("own.yaml", "0.2,0.7,26,LEAK"), ("tiny", "0.2,0.7,26,")):
-        run = Run(str(project / profile) if "." in profile else profile)
-        model = DepthModel({"network": "hr", "hr_size": [192, 288], "about": "nothing"}, device="cpu")
-        model.save_pretrained(run.weights("dual", 0).parent)
-        (run.results / "tables").mkdir(parents=True, exist_ok=True)
-        label = run.profile.variant("dual").label
-        (run.results / "tables/main.csv").write_text(f'method,abs_rel,a1,n,leak,source\n"{label}",{row},measured\n')
-        if row.endswith("LEAK") or profile == "tiny":
-            with pytest.raises(InputError, match="only weights of one seed from KITTI come with the package"):
-                publish_weights(str(project / profile) if "." in profile else profile)
-            continue
-        with pytest.raises(InputError, match="this package comes without weights"):
-            load(tmp_path / "released")
-        publish_weights(str(project / profile))
-        found = load(tmp_path / "released")
-        assert (
-            found.card["scores"] == {"abs_rel": 0.2, "a1": 0.7}
-            and "CC BY-NC-SA 3.0" in found.about
-            and "26 frames" in found.card["scored_on"]
-        )
-        for name, value in model.state_dict().items():
-            assert torch.equal(found.state_dict()[name], value.half().float() if value.is_floating_point() else value)
 
 
 def write_notebook(path, output=None, parameters=None):

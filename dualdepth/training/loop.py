@@ -9,17 +9,17 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from accelerate import Accelerator, DistributedDataParallelKwargs
-from accelerate.utils import set_seed
+from accelerate import Accelerator, DistributedDataParallelKwargs, PartialState
+from accelerate.utils import broadcast_object_list, set_seed
 from torch.optim.swa_utils import AveragedModel
 from torch.utils.data import DataLoader, default_collate
 from tqdm import tqdm
 
 from dualdepth.data.loading import StatelessBatches, TripletDataset, make_loader
 from dualdepth.data.triplets import Triplet
-from dualdepth.device import choose_precision, default_device, device_name, is_main_process, several_on_cpu
+from dualdepth.device import choose_precision, default_device, device_name, is_main_process, process_count, several_on_cpu
 from dualdepth.errors import InputError
-from dualdepth.files import check_writable, remove_leftovers
+from dualdepth.files import check_writable
 from dualdepth.geometry import to_unit
 from dualdepth.networks.depth_nets import DualNet
 from dualdepth.profile import Profile
@@ -80,8 +80,11 @@ class Trainer:
         self.dataset = TripletDataset(triplets, profile.data.hr_size, self.settings.augmentation, seed)
         checkpoint = last_checkpoint(self.folder, lambda line: print(line) if is_main_process() else None)
         resumed = bool(checkpoint) and checkpoint["recipe"] == recipe
-        chosen = choose_precision(self.settings.precision, default_device(), profile.data.lr_size)
-        self.precision = checkpoint["precision"] if resumed else chosen
+        chosen = [choose_precision(self.settings.precision, default_device(), profile.data.lr_size)]
+        if process_count() > 1:  # machines may differ; the main process chooses for all
+            PartialState(cpu=several_on_cpu())
+            broadcast_object_list(chosen)
+        self.precision = checkpoint["precision"] if resumed else chosen[0]
         # heads of scales that the loss does not look at get no gradient, nor does a depth network while PoseNet learns alone
         unused = self.settings.loss.scales < 4 or self.settings.beyond_paper_corridor_steps > 0
         ddp = DistributedDataParallelKwargs(find_unused_parameters=unused)
@@ -92,7 +95,6 @@ class Trainer:
         """Parts that a batch is cut into; batch norm sees each by itself."""
         if self.main:
             check_writable(self.folder)
-            remove_leftovers(self.folder)
         self._prepare(make_model, checkpoint if resumed else None)
         if checkpoint and not resumed:
             step = checkpoint["step"]
@@ -223,7 +225,7 @@ class Trainer:
             tqdm.write(f"warning: checkpoint of step {step} was not written ({error}); {kept}, training goes on")
 
     def _finish(self, card: dict[str, Any], log: TrainingLog | None, seconds: float) -> Path:
-        """Write the weights with their card, then remove the checkpoints."""
+        """Write the weights with their card."""
         self.accelerator.wait_for_everyone()
         weights = self.folder / "model.safetensors"
         if log:
@@ -232,8 +234,6 @@ class Trainer:
             log.close()
             kept = self.average.module if self.average else self.accelerator.unwrap_model(self.model)
             save_weights(weights, kept, card | facts | {"last_losses": log.last()})
-            for path in checkpoint_paths(self.folder):
-                path.unlink(missing_ok=True)
         self.accelerator.wait_for_everyone()
         return weights
 

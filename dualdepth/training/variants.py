@@ -9,10 +9,11 @@ from dualdepth.data.odometry import drives_of
 from dualdepth.data.triplets import Triplet, load_triplets
 from dualdepth.device import is_main_process, keep_freed_memory, wait_for_everyone
 from dualdepth.errors import InputError
-from dualdepth.files import check_writable, locked, write_text
+from dualdepth.files import check_writable, locked, remove_leftovers, write_text
 from dualdepth.networks.pose_net import PoseNet
 from dualdepth.profile import Profile
 from dualdepth.run import Run, Sources
+from dualdepth.training.checkpoints import checkpoint_paths
 from dualdepth.training.loop import Trainer
 from dualdepth.training.stages import Stage
 from dualdepth.training.weights import finished_card, load_card, load_weights
@@ -39,6 +40,7 @@ def train_variant(run: Run, name: str, seed: int) -> Path:
         if is_main_process():
             check_writable(folder)
             held.enter_context(locked(folder / "lock", PATIENCE))
+            remove_leftovers(folder)
         wait_for_everyone()  # the first one has the lock before anything is read
         if (card := finished_card(weights)) and card.get("recipe") == recipe:
             if is_main_process():
@@ -101,11 +103,14 @@ def make_stage(profile: Profile, name: str, start: Path | None = None) -> Stage:
 
 
 def _mark(weights: Path) -> Path:
-    """Write `trained.json`, which tells the chain that these weights are done; the weights themselves are never the chain's to delete."""
+    """Write `trained.json`, which tells the chain that these weights are done (they are never its to delete); remove the checkpoints."""
     marker = weights.with_name("trained.json")
     digest = json.dumps({"weights_sha256": load_card(weights)["sha256"]}) + "\n"
-    if is_main_process() and not (marker.exists() and marker.read_text(encoding="utf-8") == digest):
-        write_text(marker, digest)
+    if is_main_process():
+        if not (marker.exists() and marker.read_text(encoding="utf-8") == digest):
+            write_text(marker, digest)
+        for path in checkpoint_paths(weights.parent):
+            path.unlink(missing_ok=True)
     return weights
 
 

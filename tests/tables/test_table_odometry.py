@@ -132,6 +132,22 @@ def test_a_sequence_is_scored_and_its_trajectory_written(run):
     np.testing.assert_allclose(written.poses, chain(predicted_motions(training(run), "09")), atol=1e-5)
 
 
+def test_motions_are_kept_as_long_as_weights_and_frames_are_the_same(run, model, tmp_path, monkeypatch):
+    made = []
+    monkeypatch.setattr("dualdepth.tables.trajectories.predict_poses", lambda *given: made.append(given) or predict_poses(*given))
+
+    def times():
+        predicted_motions(training(run), "09")
+        return len(made)
+
+    assert (times(), times()) == (1, 1)
+    first, second, *_ = sorted((tmp_path / "data/sequences/09/image_2").iterdir())
+    first.write_bytes(second.read_bytes())
+    assert (times(), times()) == (2, 2)
+    save(run, PoseModel(PoseNet(), SIZE), [])
+    assert (times(), times()) == (3, 3)
+
+
 def test_weights_that_saw_the_sequences_raw_drive_are_refused_or_named_in_the_table(run, model):
     drive = "2011_09_30/2011_09_30_drive_0033_sync"
     save(run, model, [drive])

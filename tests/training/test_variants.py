@@ -135,7 +135,7 @@ def test_each_kind_of_network_is_trained_and_read_back(trained, after_stage_1, n
     assert equal(model.depth_net.cpu().state_dict(), part(weights, "depth_net."))
 
 
-def test_what_is_done_is_not_trained_again_but_marked(trained, capsys, monkeypatch):
+def test_what_is_done_is_not_trained_again_but_marked_and_what_a_kill_left_beside_it_is_removed(trained, capsys, monkeypatch):
     monkeypatch.setattr(Stage, "forward", lambda *_: pytest.fail("it trains"))
     weights = trained.weights("dual", 0)
     marker = weights.with_name("trained.json")
@@ -143,7 +143,11 @@ def test_what_is_done_is_not_trained_again_but_marked(trained, capsys, monkeypat
     for _ in range(2):
         assert json.loads(marker.read_text()) == {"weights_sha256": file_digest(weights)}
         marker.unlink()
+        left = [weights.with_name(name) for name in (".trained.0123abcd.part.json", "checkpoint_00000003.pt")]
+        for path in left:
+            path.touch()
         assert train_variant(trained, "dual", 0) == weights
+        assert not any(path.exists() for path in left)
     assert capsys.readouterr().out == 2 * "already trained: 3 steps, seed 0\n"
     assert weights.stat().st_mtime_ns == before
 
