@@ -65,7 +65,7 @@ lab: env ## JupyterLab on this machine's own address
 	jupyter lab --ip 127.0.0.1 $$(test $$(id -u) != 0 || echo --allow-root) notebooks
 
 bench: env ## speed of loader, training step, inference
-	python -m dualdepth.bench
+	python -m tools.bench
 
 browser: ## install Debian's Chromium, for the tests that look at pages
 	@sudo=$$(test $$(id -u) = 0 || echo sudo); $$sudo apt-get update -qq && $$sudo apt-get install -y -qq --no-install-recommends chromium chromium-driver
@@ -78,10 +78,10 @@ lock: ## make environment.lock from pyproject.toml
 	rm -rf work/lock build
 
 notebooks: env ## store the executed tiny notebooks as the committed ones
-	python -m dualdepth.notebooks notebooks
+	python -m tools.publish notebooks
 
 publish: env ## copy a profile's tables and figures to results/published
-	python -m dualdepth.notebooks results --profile "$(PROFILE)"
+	python -m tools.publish results --profile "$(PROFILE)"
 
 clean: ## remove what a profile's runs made; downloads and .venv stay
 	rm -rf "work/$(PROFILE)" "results/$(PROFILE)"

@@ -3,8 +3,8 @@
 import pytest
 import torch
 
-from dualdepth.bench import median_step
 from dualdepth.profile import load_profile
+from tools.bench import median_step
 
 
 @pytest.mark.slow

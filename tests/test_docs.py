@@ -54,7 +54,7 @@ DRY = {
     "python data_scripts/download_kitti.py": dry_program,
     "python data_scripts/download_make3d.py": dry_program,
     "python data_scripts/export_labels.py": dry_program,
-    "python -m dualdepth.bench": dry_program,
+    "python -m tools.bench": dry_program,
     "python -m pytest": dry_pytest,
     "torchrun": dry_torchrun,
     "srun": dry_torchrun,

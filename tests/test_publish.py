@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from dualdepth.errors import InputError
-from dualdepth.notebooks import publish_notebooks, publish_results
 from dualdepth.profile import PROFILES
 from dualdepth.run import Run
+from tools.publish import publish_notebooks, publish_results
 
 KITTI = "about: x\ndata:\n  source: kitti\n  train_list: eigen_zhou\n"
 

@@ -9,7 +9,7 @@ from import_graph import ROOT, closure, imports_of, modules
 ORDER = [
     *("dualdepth", "errors", "files", "device", "geometry", "paper", "networks"),
     *("settings", "profile", "losses", "data", "evaluation", "run", "training"),
-    *("model", "inference", "tables", "report", "notebooks", "bench", "cli"),
+    *("model", "inference", "tables", "report", "notebooks", "cli"),
 ]
 """Rooms and modules of the root from the ground up: each imports only those before it, and itself."""
 NEVER = {
