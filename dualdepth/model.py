@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -25,23 +25,6 @@ UNIT = 16.0
 """Relative depth is reported as 16 / disparity (1.6 … 1600). Stored as uint16 × 256, as KITTI's, that resolves near depths to 0.25 %."""
 WEIGHTS = "model.safetensors"
 HUB_OPTIONS = ("revision", "cache_dir", "token", "local_files_only", "force_download")
-README = """---
-library_name: dualdepth
-pipeline_tag: depth-estimation
----
-
-# {title}
-
-{about}
-
-```python
-import dualdepth
-model = dualdepth.load("this folder or hub name")
-depth = model.predict("street.jpg")  # (H, W) float32, relative depth
-```
-
-`{card}` says which network it is, which drives it was trained on, and by which revision and settings.
-"""
 Image = str | Path | np.ndarray
 """An image file (turned as its EXIF data say; grey, 16-bit and transparent ones are read as 8-bit RGB), or (H, W, 3) uint8 RGB."""
 
@@ -162,23 +145,43 @@ class DepthModel(nn.Module, ModelHubMixin):
 
     @classmethod
     def from_pretrained(
-        cls, name: str | Path, *, device: str | torch.device | None = None, precision: Precision | None = None, **hub: Any
+        cls, weights: str | Path, device: str | torch.device | None = None, precision: Precision | None = None, **hub: Any
     ) -> "DepthModel":
-        """Load what `save_pretrained` or a training has written, or a model of the model hub; see `load`.
+        """Load trained weights.
 
-        `hub` are `revision`, `cache_dir`, `token`, `local_files_only` and `force_download` of `huggingface_hub.snapshot_download`.
+        Args:
+            weights: a `.safetensors` file with its card beside it (`<name>.json`, or `config.json`), as
+                `work/<profile>/runs/<variant>/seed<n>/model.safetensors`; the folder of one; or a name on the model hub, `owner/name`.
+            device: such as `cpu`, `cuda`, `cuda:1`, `mps`; None takes a GPU where there is one.
+            precision: `float32` or `bf16`; None takes bf16 on a CUDA GPU that has it, else float32.
+            hub: `revision`, `cache_dir`, `token`, `local_files_only` and `force_download` of `huggingface_hub.snapshot_download`.
+
+        Returns:
+            The model; `predict(image)` gives (H, W) float32 relative depth, `about` says what it was learned from.
+
+        Raises:
+            InputError: the weights or their card are missing, damaged, changed (sha256) or of another network, or the device or precision
+                is not to be had.
+
+        >>> import tempfile, numpy as np, dualdepth
+        >>> folder = tempfile.TemporaryDirectory()
+        >>> dualdepth.DepthModel({"network": "hr", "hr_size": [192, 288]}).save_pretrained(folder.name)  # stands for trained weights
+        >>> model = dualdepth.load(folder.name)
+        >>> model.predict(np.zeros((375, 1242, 3), np.uint8)).shape
+        (375, 1242)
+        >>> folder.cleanup()
         """
         if unknown := sorted(hub.keys() - HUB_OPTIONS):
             raise TypeError(f"from_pretrained() has no option {', '.join(unknown)}; there are device, precision, {', '.join(HUB_OPTIONS)}")
-        path = Path(name)
+        path = Path(weights)
         if not path.exists():
             if path.is_absolute() or path.suffix == ".safetensors":
-                raise InputError(f"{name}: no such weights; give {WEIGHTS} of a training, its folder, or a name on the model hub")
+                raise InputError(f"{weights}: no such weights; give {WEIGHTS} of a training, its folder, or a name on the model hub")
             try:
-                path = Path(snapshot_download(str(name), allow_patterns=[HUB_CARD, WEIGHTS], **hub))
+                path = Path(snapshot_download(str(weights), allow_patterns=[HUB_CARD, WEIGHTS], **hub))
             except (OSError, ValueError) as error:  # no network, no such name
                 reason = next(iter(str(error).splitlines()), type(error).__name__)
-                raise InputError(f"{name}: no folder, and not to be had from the model hub ({reason}); check the name") from None
+                raise InputError(f"{weights}: no folder, and not to be had from the model hub ({reason}); check the name") from None
         path = path / WEIGHTS if path.is_dir() else path
         card = load_card(path)
         _of_card(card, path.with_suffix(".json"), *Architecture.model_fields)  # a card in a file names all, and no default is taken
@@ -193,60 +196,30 @@ class DepthModel(nn.Module, ModelHubMixin):
     def generate_model_card(self, *_args: Any, **_kwargs: Any) -> ModelCard:
         """The page that the model hub shows."""
         title = f"dualdepth: {self.card.get('variant', self.architecture.network)}"
-        return ModelCard(README.format(title=title, about=self.about, card=HUB_CARD))
+        template = Path(__file__).with_name("model_card.txt").read_text(encoding="utf-8")
+        return ModelCard(template.format(title=title, about=self.about, card=HUB_CARD))
 
 
-def load(weights: str | Path, device: str | torch.device | None = None, precision: Precision | None = None) -> DepthModel:
-    """Load trained weights.
-
-    Args:
-        weights: a `.safetensors` file with its card beside it (`<name>.json`, or `config.json`), as
-            `work/<profile>/runs/<variant>/seed<n>/model.safetensors`; the folder of one; or a name on the model hub, `owner/name`.
-        device: such as `cpu`, `cuda`, `cuda:1`, `mps`; None takes a GPU where there is one.
-        precision: `float32` or `bf16`; None takes bf16 on a CUDA GPU that has it, else float32.
-
-    Returns:
-        The model; `predict(image)` gives (H, W) float32 relative depth, `about` says what it was learned from.
-
-    Raises:
-        InputError: the weights or their card are missing, damaged, changed (sha256) or of another network, or the device or precision
-            is not to be had.
-
-    >>> import tempfile, numpy as np, dualdepth
-    >>> folder = tempfile.TemporaryDirectory()
-    >>> dualdepth.DepthModel({"network": "hr", "hr_size": [192, 288]}).save_pretrained(folder.name)  # stands for trained weights
-    >>> model = dualdepth.load(folder.name)
-    >>> model.predict(np.zeros((375, 1242, 3), np.uint8)).shape
-    (375, 1242)
-    >>> folder.cleanup()
-    """
-    return DepthModel.from_pretrained(weights, device=device, precision=precision)
+load = DepthModel.from_pretrained
 
 
-class PoseModel(NamedTuple):
-    """A PoseNet in eval mode and (height, width) that frames are resized to; it sees a third of it."""
-
-    net: PoseNet
-    size: tuple[int, int]
-
-
-def load_pose_net(weights: str | Path, device: str | torch.device = "cpu") -> PoseModel:
-    """The PoseNet of a training.
+def load_pose_net(weights: str | Path, device: str | torch.device = "cpu") -> tuple[PoseNet, tuple[int, int]]:
+    """The PoseNet of a training, in eval mode, and (height, width) that frames are resized to; it sees a third of it.
 
     Raises:
         InputError: the weights or their card cannot be read or do not fit.
     """
     net = PoseNet()
     card = load_weights(weights, net, prefix="pose_net.")
-    return PoseModel(net.eval().to(device), _of_card(card, Path(weights).with_suffix(".json"))[1])
+    return net.eval().to(device), _of_card(card, Path(weights).with_suffix(".json"))[1]
 
 
 @torch.inference_mode()
-def predict_poses(model: PoseModel, paths: Sequence[str | Path], *, batch_size: int = 16) -> np.ndarray:
+def predict_poses(net: PoseNet, size: tuple[int, int], paths: Sequence[str | Path], *, batch_size: int = 16) -> np.ndarray:
     """Motions between the neighbouring frames of a sequence, `batch_size` targets at a time; each frame is decoded once.
 
     Args:
-        model: from `load_pose_net`.
+        net, size: from `load_pose_net`.
         paths: N ≥ 3 consecutive frames.
         batch_size: targets at a time.
 
@@ -259,15 +232,15 @@ def predict_poses(model: PoseModel, paths: Sequence[str | Path], *, batch_size: 
     """
     if len(paths) < 3:
         raise InputError(f"{len(paths)} frames: PoseNet sees three at a time")
-    device = next(model.net.parameters()).device
+    device = next(net.parameters()).device
     frames: list[Tensor] = []
     poses = []
     for number, path in enumerate(tqdm(paths, desc="predicting poses", unit="image"), 1):
-        image = to_unit(torch.from_numpy(resample(read_image(path), model.size).transpose(2, 0, 1).copy()))
+        image = to_unit(torch.from_numpy(resample(read_image(path), size).transpose(2, 0, 1).copy()))
         frames.append(low_resolution(image[None])[0])
         if len(frames) == batch_size + 2 or (number == len(paths) and len(frames) > 2):
             views = [torch.stack([frames[i], frames[i - 1], frames[i + 1]]) for i in range(1, len(frames) - 1)]
-            poses.append(pose_matrix(model.net(torch.stack(views).to(device)).double()).cpu())
+            poses.append(pose_matrix(net(torch.stack(views).to(device)).double()).cpu())
             frames = frames[-2:]
     return torch.cat(poses).numpy()
 

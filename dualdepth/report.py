@@ -14,7 +14,7 @@ from dualdepth import paper
 from dualdepth.files import write_text
 from dualdepth.run import PACKAGE, Run
 from dualdepth.settings import Loss
-from dualdepth.tables.claims import NOT_RUN, RULES, compare_numbers, judge_claims
+from dualdepth.tables.claims import NOT_RUN, TOLERANCE, compare_numbers, judge_claims
 from dualdepth.tables.rows import readable
 
 _WORDS = yaml.safe_load((PACKAGE / "report.yaml").read_text(encoding="utf-8"))
@@ -23,6 +23,8 @@ TITLES: dict[str, str] = _WORDS["titles"]
 FIRST_LOOK = "side_by_side"
 """The picture to look at first."""
 CAPTIONS: dict[str, str] = _WORDS["captions"]
+RULES = {what: rule.replace("{tolerance}", f"{TOLERANCE:.0%}") for what, rule in _WORDS["rules"].items()}
+"""How verdicts are given."""
 FIGURE_OF = {"make3d": "make3d", "odometry_trajectories": "odometry", "odometry_motions": "odometry", "sa_region": "sa_region"}
 """Figures that are of one table, and left from an earlier run where that was not run."""
 

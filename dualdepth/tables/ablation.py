@@ -1,12 +1,10 @@
 """The ablation: what HR-Net, SA-Attention and the other choices bring."""
 
-from collections.abc import Sequence
-
 import pandas as pd
 
 from dualdepth.run import Run
 from dualdepth.tables.rows import method_row, with_paper
-from dualdepth.tables.scores import Scores, collect, scored
+from dualdepth.tables.scores import Scores, scored
 
 VARIANTS = (
     *("lr", "dual_no_sa", "dual"),
@@ -14,11 +12,6 @@ VARIANTS = (
     *("hr_only", "lr_no_feature_loss", "lr_downsample_first"),
 )
 """The paper's three, what in SA-Attention does it, and the paper's other claims."""
-
-
-def ablation_scores(run: Run, seeds: Sequence[int]) -> Scores:
-    """Scores of all trainings of the ablation."""
-    return collect(run, VARIANTS, seeds)
 
 
 def ablation_table(run: Run, scores: Scores) -> pd.DataFrame:

@@ -1,4 +1,4 @@
-"""What the paper claims, which of its claims and numbers hold, and by which rules."""
+"""What the paper claims, and which of its claims and numbers hold, by the rules that the report has in words (`report.yaml`)."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -10,19 +10,10 @@ from dualdepth.evaluation.statistics import Comparison, t_interval
 from dualdepth.paper import DEPTH
 
 REPRODUCED, WITHIN_NOISE, NOT_REPRODUCED, NOT_RUN = "reproduced", "within noise", "not reproduced", "not run"
+HIGHER_IS_BETTER = ("a1", "a2", "a3", "f1", "lateral_f1")
+"""Of all metrics that are compared; of the others lower is better."""
 TOLERANCE = 0.02
 """Share of the paper's number within which ours counts as the same; half of the last printed digit counts, too."""
-
-RULES = {
-    "A number": f"reproduced: at most {TOLERANCE:.0%} (or half of the last printed digit) from the paper's, or better. Within noise:"
-    " farther off, but the paper's number lies in our 95 % interval over at least two seeds. Not reproduced: else.",
-    "A claim": "reproduced: our difference has the claimed sign, and its 95 % intervals over images and, with two seeds or more, over"
-    " seeds exclude zero. Within noise: one of them includes zero. Not reproduced: the opposite sign, as surely. Edges"
-    " also need a boundary F1 of 0.1, and slim poles twice LR-Net's share of pixels with δ<1.25, or half its share"
-    " without: to be a little better at what neither network can do proves nothing.",
-    "Either": "not run: there is no number of ours; the reason is said.",
-}
-"""In words what `judge_number` and `judge_claim` do."""
 
 
 class Verdict(NamedTuple):
@@ -33,7 +24,7 @@ class Verdict(NamedTuple):
 
 
 def judge_number(metric: str, paper: float, ours: float, *, spread: float, seeds: int) -> Verdict:
-    """Whether a number of the paper is reproduced (`RULES`).
+    """Whether a number of the paper is reproduced.
 
     Args:
         metric: which it is, such as `abs_rel`.
@@ -53,7 +44,7 @@ def judge_number(metric: str, paper: float, ours: float, *, spread: float, seeds
 
 
 def judge_claim(comparison: Comparison, *, lower_is_better: bool) -> Verdict:
-    """Whether a claim of the paper holds (`RULES`), by the comparison of the method that is claimed to be better with the other."""
+    """Whether a claim of the paper holds, by the comparison of the method that is claimed to be better with the other."""
     if np.isnan(comparison.difference):
         return Verdict(NOT_RUN)
     one = "" if comparison.seeds > 1 else "one seed"
@@ -196,7 +187,6 @@ PAIRS = (
     ),
 )
 """All rows of the paper that are its own, and ours."""
-HIGHER_IS_BETTER = ("a1", "a2", "a3")
 CLOSEST = "not judged: of all readings of the paper's equation the one that comes closest to its ratio"
 COUNTS = {"params_m": 0.01, "gmacs": 0.01}
 """Numbers that are neither better nor worse, and the last digit of them that the paper prints; of all others it is 0.001."""

@@ -1,27 +1,20 @@
 """Near and far: where the gain of the dual network is."""
 
-from collections.abc import Sequence
-
 import pandas as pd
 
-from dualdepth.evaluation.parts import PARTS, near_and_far
+from dualdepth.evaluation.parts import PARTS
 from dualdepth.run import Run
 from dualdepth.tables.rows import comparisons, gains, method_row, paired, with_paper
-from dualdepth.tables.scores import Scores, collect, scored
+from dualdepth.tables.scores import Scores, scored
 
 METHODS = {"lr": "w/o HR-Net", "dual_no_sa": "w/ HR-Net, w/o SA", "dual": "w/ HR-Net"}
 RATIOS = {False: "one median ratio an image", True: "a median ratio for each part"}
 
 
-def distance_scores(run: Run, seeds: Sequence[int], *, own_ratio: bool = False) -> Scores:
-    """Scores of the near and the far pixels of each image, by one median ratio an image, or by an own ratio of each part."""
-    return collect(run, METHODS, seeds, lambda training: training.parts(near_and_far, own_ratio=own_ratio))
-
-
 def distance_table(run: Run, by_ratio: dict[bool, Scores]) -> pd.DataFrame:
     """The paper's rows and ours, with column `scaling`: one ratio an image (the comparable one), or one for each part.
 
-    `by_ratio` has `distance_scores` by their `own_ratio`.
+    `by_ratio` has the scores of `near_and_far` pixels by the `own_ratio` of `Trained.parts`.
     """
     rows = []
     for own_ratio, scores in by_ratio.items():

@@ -5,16 +5,18 @@ from collections.abc import Sequence
 import numpy as np
 
 from dualdepth.evaluation.parts import FAR, POLE
-from dualdepth.tables.plots import CloseUp
+
+Window = tuple[slice, slice]
+"""Rows and columns of an image."""
 
 
-def around(row: float, column: float, shape: Sequence[int], share: float = 0.3) -> CloseUp:
+def around(row: float, column: float, shape: Sequence[int], share: float = 0.3) -> Window:
     """A window of `share` of the image's height and twice as wide, centred as near to (row, column) as the image allows."""
     height = max(round(share * shape[0]), 8)
     width = min(2 * height, shape[1])
     top = int(np.clip(row - height / 2, 0, shape[0] - height))
     left = int(np.clip(column - width / 2, 0, shape[1] - width))
-    return CloseUp(top, left, height, width)
+    return np.s_[top : top + height, left : left + width]
 
 
 def interpolated(sparse: np.ndarray) -> np.ndarray:
@@ -31,7 +33,7 @@ def interpolated(sparse: np.ndarray) -> np.ndarray:
     return np.where(inverse > 0, 1 / np.maximum(inverse, 1e-3), 0)
 
 
-def boundary_window(depth: np.ndarray) -> CloseUp:
+def boundary_window(depth: np.ndarray) -> Window:
     """Where depth (H, W) jumps most: the window with the largest steps from left to right, on a logarithmic scale."""
     import cv2
 
@@ -43,13 +45,13 @@ def boundary_window(depth: np.ndarray) -> CloseUp:
     return around(row + 0.5, column + 1, depth.shape)
 
 
-def far_window(truth: np.ndarray) -> CloseUp | None:
+def far_window(truth: np.ndarray) -> Window | None:
     """Where most laser points beyond 20 m lie; None where there are none."""
     far = truth > FAR
     return around(*np.argwhere(far).mean(0), truth.shape) if far.any() else None
 
 
-def pole_window(labels: np.ndarray) -> CloseUp | None:
+def pole_window(labels: np.ndarray) -> Window | None:
     """Around the largest pole; None where there is none of 20 pixels or more."""
     import cv2
 

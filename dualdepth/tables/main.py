@@ -9,7 +9,7 @@ from dualdepth.data.depth_maps import load_ground_truth
 from dualdepth.evaluation import baselines
 from dualdepth.evaluation.depth import evaluate
 from dualdepth.run import Run
-from dualdepth.tables.rows import comparisons, method_row, paired, with_paper
+from dualdepth.tables.rows import method_row, with_paper
 from dualdepth.tables.scores import NO_TRUTH, SEEDLESS, Scores, collect, scored, untrained_net
 
 BASELINES = {"mean_map": "Train set mean", "row_mean": "Per-row mean", "constant": "Constant depth"}
@@ -64,8 +64,3 @@ def main_table(run: Run, scores: Scores) -> pd.DataFrame:
         row = {"method": method, "dataset": dataset, "supervision": "Depth" if name in BASELINES else "-"}
         rows.append(row | method_row(scores, name, note=scored(run).note))
     return with_paper("main", rows).drop(columns="variant")
-
-
-def main_claims(scores: Scores) -> pd.DataFrame:
-    """Each training against each baseline without learning, paired image by image."""
-    return comparisons(row for variant in ("lr", "dual") for name in BASELINES for row in paired(scores, variant, name))

@@ -3,7 +3,7 @@
 import hashlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -19,7 +19,7 @@ from dualdepth.evaluation.make3d import CONVENTIONS, FARTHEST, METRICS, ROWS, ev
 from dualdepth.files import file_digest
 from dualdepth.model import DepthModel
 from dualdepth.run import Run, Sources
-from dualdepth.tables.rows import comparisons, method_row, paired, with_paper
+from dualdepth.tables.rows import method_row, with_paper
 from dualdepth.tables.scores import SEEDLESS, Scores, Trained, collect, opened, untrained_net
 
 VARIANTS = ("lr", "dual_no_sa", "dual")
@@ -143,18 +143,6 @@ def make3d_table(run: Run, scores: Scores) -> pd.DataFrame:
             row = {"method": method, "supervision": supervision, "convention": convention}
             rows.append(row | method_row(scores, name, METRICS, part, note))
     return with_paper("make3d", rows)
-
-
-def made_from(run: Run, seeds: Sequence[int]) -> dict[str, Any]:
-    """What the table is made from, as arguments of `Run.save_table`: weights, and one digest of all photos and grids."""
-    photos = load_photos(run)
-    weights = [run.weights(v, seed) for v in VARIANTS if v in run.profile.train for seed in seeds]
-    return {"inputs": weights if photos else [], "seeds": list(seeds), "photos_sha256": photos.digest if photos else None}
-
-
-def make3d_claims(scores: Scores) -> pd.DataFrame:
-    """The dual network against LR-Net, paired photo by photo, shown the central band."""
-    return comparisons(paired(scores, "dual", "lr", ["abs_rel"], part="band"))
 
 
 def make3d_examples(training: Trained, *, count: int = 3, size: tuple[int, int] = (320, 640)) -> tuple[list, ...] | None:

@@ -62,8 +62,8 @@ def names(run: Run) -> list[str]:
 
 def made_from(run: Run, scores: Scores) -> list[Path]:
     """What the odometry table is made from, for its stamp: weights and true poses."""
-    weights = [training.weights for of_seeds in scores.trainings.values() for training in of_seeds]
-    return weights + [poses_path(Sources.load(run).odometry_root, entry) for entry in sequences(run)] if weights else []
+    poses = [poses_path(Sources.load(run).odometry_root, entry) for entry in sequences(run)] if scores.weights else []
+    return scores.weights + poses
 
 
 def _methods(run: Run) -> dict[str, str]:

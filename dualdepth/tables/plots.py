@@ -2,7 +2,7 @@
 
 import io
 from collections.abc import Collection, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -78,25 +78,12 @@ def point_errors(prediction: np.ndarray, truth: np.ndarray) -> np.ndarray:
     return np.where(distance <= POINT_RADIUS, error[tuple(nearest)], np.nan)
 
 
-class CloseUp(NamedTuple):
-    """A part of an image, in pixels."""
-
-    top: int
-    left: int
-    height: int
-    width: int
-
-    def of(self, values: np.ndarray) -> np.ndarray:
-        """The part of (H, W, …)."""
-        return values[self.top : self.top + self.height, self.left : self.left + self.width]
-
-
 def map_rows(
     images: Sequence[np.ndarray],
     maps: dict[str, Sequence[np.ndarray]],
     titles: Sequence[str],
     *,
-    windows: Sequence[CloseUp] | None = None,
+    windows: Sequence[tuple[slice, slice]] | None = None,
     unit: str = "m",
     errors: Collection[str] = (),
 ) -> Picture:
@@ -105,22 +92,22 @@ def map_rows(
     Args:
         images, titles: (H, W, 3) each.
         maps: (H, W) depth each, in metres or in another `unit`, 0 = unknown.
-        windows: the part of each frame that is shown, instead of all.
+        windows: rows and columns of each frame that are shown, instead of all.
         errors: names of the maps that are relative errors instead, NaN = unknown.
     """
     last = [name for name in maps if name not in errors][-1:]  # which has the colour bar
-    windows = windows or [CloseUp(0, 0, *image.shape[:2]) for image in images]
-    columns, shape = 1 + len(maps), windows[0].height / windows[0].width
-    figure = Picture(figsize=(13.0, len(images) * (12.4 / columns * shape + 0.22) + 0.1), layout="constrained")
+    windows = windows or [np.s_[:, :]] * len(images)
+    columns, (height, width, _) = 1 + len(maps), images[0][windows[0]].shape
+    figure = Picture(figsize=(13.0, len(images) * (12.4 / columns * (height / width) + 0.22) + 0.1), layout="constrained")
     for row, window, image, title, *values in zip(
         figure.subplots(len(images), columns, squeeze=False), windows, images, titles, *maps.values()
     ):
-        show_image(row[0], window.of(image), title)
+        show_image(row[0], image[window], title)
         for axes, name, value in zip(row[1:], maps, values):
             if name in errors:
-                show_error(axes, window.of(value), name)
+                show_error(axes, value[window], name)
             else:
-                show_depth(axes, window.of(value), name, bar=[name] == last, unit=unit)
+                show_depth(axes, value[window], name, bar=[name] == last, unit=unit)
     return figure
 
 

@@ -10,7 +10,7 @@ from dualdepth import paper
 from dualdepth.evaluation.depth import METRICS
 from dualdepth.evaluation.leaks import check_leak
 from dualdepth.evaluation.statistics import Comparison, compare
-from dualdepth.tables.claims import claims_of
+from dualdepth.tables.claims import HIGHER_IS_BETTER, claims_of
 from dualdepth.tables.scores import SEEDLESS, Scores
 
 MEASURED, NOT_RUN = "measured", "not run"
@@ -18,7 +18,6 @@ MEASURED, NOT_RUN = "measured", "not run"
 COMPARISON = ["of", "a", "b", "metric", *Comparison._fields, "n", "better", "in_words", "reason"]
 """Columns of a table of comparisons: `of` says which images or which part of them, `better` is `lower` or `higher` by the metric, `reason`
 says why nothing was compared."""
-LOWER_IS_BETTER = ("abs_rel", "sq_rel", "rmse", "rmse_log", "ate", "t_err")
 
 
 def over_seeds(frame: pd.DataFrame, metrics: Iterable[str] = METRICS) -> dict[str, Any]:
@@ -83,7 +82,7 @@ def paired(
         of_a, of_b = (scores.of(method, part)[metric].unstack("seed").dropna() for method in (a, b))
         shared = of_a.index.intersection(of_b.index)
         values = np.broadcast_arrays(of_a.loc[shared].to_numpy().T, of_b.loc[shared].to_numpy().T)
-        rows.append(place | {"metric": metric} | compared(*values, lower_is_better=metric in LOWER_IS_BETTER, block=block))
+        rows.append(place | {"metric": metric} | compared(*values, lower_is_better=metric not in HIGHER_IS_BETTER, block=block))
     return rows
 
 

@@ -240,6 +240,11 @@ class Scores(NamedTuple):
     notes: Mapping[str, str] = MappingProxyType({})
     """Of each method that is no training: what it is."""
 
+    @property
+    def weights(self) -> list[Path]:
+        """Files of all trainings, for a table's stamp."""
+        return [training.weights for of_seeds in self.trainings.values() for training in of_seeds]
+
     def of(self, variant: str, part: str | None = None) -> pd.DataFrame:
         """The rows (seed, image) of a variant, of one part of the images where they have parts; images without that part have no row."""
         there = variant in self.frame.index.unique("variant")

@@ -81,7 +81,7 @@ def predicted_motions(training: Trained, entry: str) -> np.ndarray:
     frames = [[str(f.resolve()), f.stat().st_size, f.stat().st_mtime_ns] for f in files]
 
     def predict() -> np.ndarray:
-        return predict_poses(load_pose_net(training.weights, default_device()), files)
+        return predict_poses(*load_pose_net(training.weights, default_device()), files)
 
     return training.kept(f"motions_{'_'.join(sequence_of(entry))}.npy", {"frames": frames}, predict)
 

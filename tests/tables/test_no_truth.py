@@ -4,13 +4,13 @@ import pytest
 
 from dualdepth.evaluation.depth import METRICS
 from dualdepth.tables import ablation, distance, main, sharpness
-from dualdepth.tables.scores import NO_TRUTH, Trained
+from dualdepth.tables.scores import NO_TRUTH, Trained, collect
 
 SEEDS = [0]
 TABLES = {
     "main": lambda run: main.main_table(run, main.main_scores(run, SEEDS)),
-    "ablation": lambda run: ablation.ablation_table(run, ablation.ablation_scores(run, SEEDS)),
-    "distance": lambda run: distance.distance_table(run, {False: distance.distance_scores(run, SEEDS)}),
+    "ablation": lambda run: ablation.ablation_table(run, collect(run, ablation.VARIANTS, SEEDS)),
+    "distance": lambda run: distance.distance_table(run, {False: collect(run, distance.METHODS, SEEDS)}),
     "sharpness": lambda run: sharpness.sharpness_table(sharpness.tenengrad_scores(run, SEEDS)),
 }
 

@@ -4,9 +4,10 @@ import pytest
 
 from dualdepth import paper
 from dualdepth.profile import standard_variants
-from dualdepth.tables.ablation import VARIANTS, ablation_scores, ablation_table
+from dualdepth.tables.ablation import VARIANTS, ablation_table
 from dualdepth.tables.claims import claims_of
 from dualdepth.tables.rows import claims_table
+from dualdepth.tables.scores import collect
 
 VALUES = {"lr": 0.30, "dual_no_sa": 0.22, "dual": 0.20, "dual_embedding_only": 0.20, "hr_only": 0.50}
 """Of the others: 0.4."""
@@ -19,7 +20,7 @@ def scored(make_scores, give):
 
 def test_every_variant_has_the_row_of_its_own_scores_below_the_papers(scored, make_run, check_paper_rows):
     run = make_run()
-    table = ablation_table(run, ablation_scores(run, [0, 2]))
+    table = ablation_table(run, collect(run, VARIANTS, [0, 2]))
     check_paper_rows(table, paper.table("ablation"))
     measured = table.query("source == 'measured'").set_index("variant")
     assert tuple(measured.index) == VARIANTS and VARIANTS[:3] == ("lr", "dual_no_sa", "dual")
@@ -31,7 +32,7 @@ def test_every_variant_has_the_row_of_its_own_scores_below_the_papers(scored, ma
 
 
 def test_every_claim_of_the_paper_is_compared_with_the_better_one_first(scored, make_run):
-    table = claims_table(ablation_scores(make_run(), [0, 1]), "ablation")
+    table = claims_table(collect(make_run(), VARIANTS, [0, 1]), "ablation")
     pairs = [(claim.a, claim.b) for claim in claims_of("ablation")]
     assert list(zip(table["a"], table["b"])) == [pair for pair in pairs for _ in range(2)] and len(pairs) == 7
     for row in table.itertuples():

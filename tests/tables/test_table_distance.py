@@ -5,10 +5,10 @@ import pandas as pd
 import pytest
 
 from dualdepth import paper
-from dualdepth.evaluation.parts import PARTS
-from dualdepth.tables.distance import RATIOS, distance_claims, distance_scores, distance_table
+from dualdepth.evaluation.parts import PARTS, near_and_far
+from dualdepth.tables.distance import METHODS, RATIOS, distance_claims, distance_table
 from dualdepth.tables.rows import COMPARISON, gains
-from dualdepth.tables.scores import Scores
+from dualdepth.tables.scores import Scores, collect
 
 NEAR, FAR = PARTS
 STRETCH = {"lr": 1.3, "dual_no_sa": 1.2, "dual": 1.0}
@@ -35,8 +35,12 @@ def run(make_run, give_maps):
     return make_run(frames=3)
 
 
+def scores_of(run, seeds, own_ratio=False):
+    return collect(run, METHODS, seeds, lambda training: training.parts(near_and_far, own_ratio=own_ratio))
+
+
 def table_of(run, seeds):
-    return distance_table(run, {own_ratio: distance_scores(run, seeds, own_ratio=own_ratio) for own_ratio in RATIOS})
+    return distance_table(run, {own_ratio: scores_of(run, seeds, own_ratio) for own_ratio in RATIOS})
 
 
 def test_faults_of_far_depth_show_in_the_far_rows_with_one_ratio_and_go_with_a_ratio_of_their_own(run, check_paper_rows):
@@ -59,7 +63,7 @@ def test_faults_of_far_depth_show_in_the_far_rows_with_one_ratio_and_go_with_a_r
 
 
 def test_the_gain_is_judged_in_each_part_and_far_against_near(run):
-    table = distance_claims(distance_scores(run, [0, 1]))
+    table = distance_claims(scores_of(run, [0, 1]))
     assert list(table.columns) == COMPARISON
     claims = table[table["of"].isin(PARTS)].query("metric == 'abs_rel'").set_index(["of", "a", "b"])
     assert set(claims.index) == {(part, a, "lr") for part in PARTS for a in ("dual", "dual_no_sa")}

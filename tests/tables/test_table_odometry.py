@@ -14,7 +14,7 @@ from dualdepth.data.odometry import read_trajectory, write_trajectory
 from dualdepth.errors import InputError
 from dualdepth.evaluation.odometry import relative, snippet_errors, snippets, yaw_and_step
 from dualdepth.geometry import pose_matrix
-from dualdepth.model import PoseModel, predict_poses
+from dualdepth.model import predict_poses
 from dualdepth.networks.architecture import Architecture
 from dualdepth.networks.pose_net import PoseNet
 from dualdepth.profile import load_profile
@@ -66,33 +66,33 @@ def test_perfect_motions_give_the_true_trajectory_and_snippets_and_inverted_ones
 
 
 @pytest.fixture(scope="module")
-def model():
+def net():
     torch.manual_seed(0)
     net = PoseNet()
     with torch.no_grad():
         nn.init.xavier_uniform_(net.layers[-1].weight)
         net.layers[-1].bias.normal_(0, 0.3)  # motions that can be told from none
-    return PoseModel(net.eval(), SIZE)
+    return net.eval()
 
 
 @pytest.mark.parametrize("batch_size", [1, 3, 16])
-def test_each_triplet_is_seen_once_target_first(model, tmp_path, batch_size):
+def test_each_triplet_is_seen_once_target_first(net, tmp_path, batch_size):
     write_sequence(tmp_path, "09", range(7))
     files = sorted((tmp_path / "sequences/09/image_2").iterdir())
-    motions = predict_poses(model, files, batch_size=batch_size)
+    motions = predict_poses(net, SIZE, files, batch_size=batch_size)
     assert motions.shape == (5, 2, 4, 4) and motions.dtype == np.float64
     images = [torch.from_numpy(resample(read_image(f), SIZE)).permute(2, 0, 1).float() / 255 for f in files]
     small = [torch.nn.functional.avg_pool2d(i[None], 3)[0] for i in images]
     for k in range(1, 6):
         with torch.inference_mode():
-            expected = pose_matrix(model.net(torch.stack([small[k], small[k - 1], small[k + 1]])[None]).double())[0]
+            expected = pose_matrix(net(torch.stack([small[k], small[k - 1], small[k + 1]])[None]).double())[0]
         np.testing.assert_allclose(motions[k - 1], expected, atol=1e-6)
     with pytest.raises(InputError, match="2 frames"):
-        predict_poses(model, files[:2])
+        predict_poses(net, SIZE, files[:2])
 
 
 @pytest.fixture
-def run(tmp_path, model):
+def run(tmp_path, net):
     """A run with weights of an odometry training, and sequences 00 and 09."""
     root = tmp_path / "data"
     write_sequence(root, "00", range(4))
@@ -102,16 +102,16 @@ def run(tmp_path, model):
     trained = {"lr": None, "odometry_lr": None}
     run = Run(write_profile(tmp_path / "own.yaml", "resnet18", {}, data=data, train=trained), tmp_path)
     Sources(tmp_path / "raw", tmp_path / "list.txt", odometry_root=root).save(run)
-    save(run, model, ["2011_10_03/2011_10_03_drive_0027_sync"])
+    save(run, net, ["2011_10_03/2011_10_03_drive_0027_sync"])
     return run
 
 
-def save(run, model, drives):
+def save(run, net, drives):
     card = {"hr_size": list(SIZE), "drives": drives, "pretrained": False, "steps": 2, "starts_from": None}
     words = Architecture(network="lr", encoder="resnet18").model_dump()
     path = run.weights("odometry_lr", 0)
     path.parent.mkdir(parents=True, exist_ok=True)
-    save_weights(path, torch.nn.ModuleDict({"pose_net": model.net}), card | words | {"seed": 0})
+    save_weights(path, torch.nn.ModuleDict({"pose_net": net}), card | words | {"seed": 0})
 
 
 def training(run):
@@ -132,7 +132,7 @@ def test_a_sequence_is_scored_and_its_trajectory_written(run):
     np.testing.assert_allclose(written.poses, chain(predicted_motions(training(run), "09")), atol=1e-5)
 
 
-def test_motions_are_kept_as_long_as_weights_and_frames_are_the_same(run, model, tmp_path, monkeypatch):
+def test_motions_are_kept_as_long_as_weights_and_frames_are_the_same(run, net, tmp_path, monkeypatch):
     made = []
     monkeypatch.setattr("dualdepth.tables.trajectories.predict_poses", lambda *given: made.append(given) or predict_poses(*given))
 
@@ -144,13 +144,13 @@ def test_motions_are_kept_as_long_as_weights_and_frames_are_the_same(run, model,
     first, second, *_ = sorted((tmp_path / "data/sequences/09/image_2").iterdir())
     first.write_bytes(second.read_bytes())
     assert (times(), times()) == (2, 2)
-    save(run, PoseModel(PoseNet(), SIZE), [])
+    save(run, PoseNet(), [])
     assert (times(), times()) == (3, 3)
 
 
-def test_weights_that_saw_the_sequences_raw_drive_are_refused_or_named_in_the_table(run, model):
+def test_weights_that_saw_the_sequences_raw_drive_are_refused_or_named_in_the_table(run, net):
     drive = "2011_09_30/2011_09_30_drive_0033_sync"
-    save(run, model, [drive])
+    save(run, net, [drive])
     with pytest.raises(InputError, match=rf"model\.safetensors: was trained on {drive}"):
         follow(training(run), "09")
     Sources.load(run)._replace(allow_leak=True).save(run)
