@@ -34,6 +34,15 @@ def pose_matrix(pose: Tensor) -> Tensor:
     return torch.cat([rows, last], dim=-2)
 
 
+def inverse_pose(pose: Tensor) -> Tensor:
+    """The pose (…, 6) whose `pose_matrix` is the inverse of that of `pose` (…, 6), for a turn about y of less than a right angle."""
+    turned = rotation_matrix(pose[..., 3:]).mT
+    x = torch.atan2(-turned[..., 1, 2], turned[..., 2, 2])
+    z = torch.atan2(-turned[..., 0, 1], turned[..., 0, 0])
+    angles = torch.stack([x, torch.asin(turned[..., 0, 2]), z], -1)
+    return torch.cat([-(turned @ pose[..., :3, None])[..., 0], angles], dim=-1)
+
+
 def resize_intrinsics(intrinsics: Tensor, scale_x: float, scale_y: float) -> Tensor:
     """Intrinsics (…, 3, 3) of the same view after resizing its image by `scale_x`, `scale_y`.
 

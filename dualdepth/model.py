@@ -18,7 +18,7 @@ from dualdepth.errors import InputError, first_mistake
 from dualdepth.evaluation.depth import resize_bilinear
 from dualdepth.geometry import low_resolution, pose_matrix, to_unit
 from dualdepth.networks.architecture import Architecture, HRSize
-from dualdepth.networks.pose_net import PoseNet
+from dualdepth.networks.pose_net import EncoderPoseNet, PoseNet, make_pose_net
 from dualdepth.training.weights import HUB_CARD, load_card, load_weights, save_weights
 
 UNIT = 16.0
@@ -203,19 +203,19 @@ class DepthModel(nn.Module, ModelHubMixin):
 load = DepthModel.from_pretrained
 
 
-def load_pose_net(weights: str | Path, device: str | torch.device = "cpu") -> tuple[PoseNet, tuple[int, int]]:
+def load_pose_net(weights: str | Path, device: str | torch.device = "cpu") -> tuple[PoseNet | EncoderPoseNet, tuple[int, int]]:
     """The PoseNet of a training, in eval mode, and (height, width) that frames are resized to; it sees a third of it.
 
     Raises:
         InputError: the weights or their card cannot be read or do not fit.
     """
-    net = PoseNet()
+    net = make_pose_net(load_card(weights).get("pose_encoder"))
     card = load_weights(weights, net, prefix="pose_net.")
     return net.eval().to(device), _of_card(card, Path(weights).with_suffix(".json"))[1]
 
 
 @torch.inference_mode()
-def predict_poses(net: PoseNet, size: tuple[int, int], paths: Sequence[str | Path], *, batch_size: int = 16) -> np.ndarray:
+def predict_poses(net: PoseNet | EncoderPoseNet, size: tuple[int, int], paths: Sequence[str | Path], *, batch_size: int = 16) -> np.ndarray:
     """Motions between the neighbouring frames of a sequence, `batch_size` targets at a time; each frame is decoded once.
 
     Args:

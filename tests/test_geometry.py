@@ -6,7 +6,7 @@ import torch
 from slow_losses import slow_warp
 
 from dualdepth import geometry
-from dualdepth.geometry import low_resolution, pose_matrix, reproject, resize_intrinsics, rotation_matrix, sample, to_unit
+from dualdepth.geometry import inverse_pose, low_resolution, pose_matrix, reproject, resize_intrinsics, rotation_matrix, sample, to_unit
 
 KITTI = torch.tensor([[721.5, 0.0, 609.6], [0.0, 721.5, 172.9], [0.0, 0.0, 1.0]])
 
@@ -82,6 +82,8 @@ def test_the_rotation_is_rx_times_ry_times_rz():
     rng = np.random.default_rng(0)
     for angles in rng.uniform(-3, 3, (8, 3)):
         assert np.allclose(rotation_matrix(torch.tensor(angles)).numpy(), slow_rotation(*angles), atol=1e-12)
+        nearer = 0.5 * torch.tensor([*rng.normal(size=3), *angles])  # turns of less than a right angle
+        assert torch.allclose(pose_matrix(inverse_pose(nearer)) @ pose_matrix(nearer), torch.eye(4, dtype=torch.float64))
     # angles are clipped to half a turn
     assert torch.allclose(rotation_matrix(torch.tensor([0.0, 9.0, 0.0])), rotation_matrix(torch.tensor([0.0, torch.pi, 0.0])))
 

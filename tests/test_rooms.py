@@ -13,7 +13,7 @@ ORDER = [
 ]
 """Rooms and modules of the root from the ground up: each imports only those before it, and itself."""
 NEVER = {
-    "networks": {*ORDER} - {"dualdepth", "errors", "networks"},
+    "networks": {*ORDER} - {"dualdepth", "errors", "geometry", "networks"},
     "geometry": {*ORDER} - {"geometry"},
     "losses": {"data", "profile", "run", "training", "networks"},
     "data": {"networks", "profile", "losses"},

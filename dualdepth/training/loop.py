@@ -30,7 +30,7 @@ from dualdepth.training.stages import Stage, StageOutput
 from dualdepth.training.weights import save_weights
 
 CORRIDOR_RATE = 1e-3
-"""Learning rate while PoseNet learns alone."""
+"""Learning rate while the paper's PoseNet learns alone."""
 
 
 def learning_rate(stage: StageSettings, step: int, total: int) -> float:
@@ -178,8 +178,9 @@ class Trainer:
         """One optimisation step over all parts of its batch: the last part's output, and, where it is logged, each part's statistics."""
         accelerator, accumulate = self.accelerator, self.settings.accumulate
         in_a_corridor = step <= self.corridor_steps
+        faster = in_a_corridor and not self.settings.beyond_paper_pose_encoder  # whose ImageNet weights a high rate would spoil
         for group in self.optimizer.param_groups:
-            group["lr"] = CORRIDOR_RATE if in_a_corridor else learning_rate(self.stage, step - 1, self.total)
+            group["lr"] = CORRIDOR_RATE if faster else learning_rate(self.stage, step - 1, self.total)
         self.optimizer.zero_grad()
         names, statistics = [], []
         for part in range(accumulate):

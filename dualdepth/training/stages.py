@@ -8,7 +8,7 @@ from torch.nn import functional as F
 
 from dualdepth.geometry import low_resolution, resize_intrinsics, to_unit
 from dualdepth.losses import Losses, total_loss
-from dualdepth.networks.pose_net import PoseNet
+from dualdepth.networks.pose_net import EncoderPoseNet, PoseNet
 from dualdepth.settings import Training
 
 MIRROR = (-1.0, 1.0, 1.0, 1.0, -1.0, -1.0)
@@ -53,7 +53,7 @@ class Stage(nn.Module):
     images, too; what is frozen in it stays so. `training` says losses, augmentation and memory layout.
     """
 
-    def __init__(self, depth_net: nn.Module, pose_net: PoseNet, training: Training, *, low: bool) -> None:
+    def __init__(self, depth_net: nn.Module, pose_net: PoseNet | EncoderPoseNet, training: Training, *, low: bool) -> None:
         super().__init__()
         self.depth_net, self.pose_net = depth_net, pose_net
         self.loss, self.channels_last, self.low = training.loss, training.channels_last, low

@@ -10,7 +10,7 @@ from dualdepth.data.triplets import Triplet, load_triplets
 from dualdepth.device import is_main_process, keep_freed_memory, wait_for_everyone
 from dualdepth.errors import InputError
 from dualdepth.files import check_writable, locked, remove_leftovers, write_text
-from dualdepth.networks.pose_net import PoseNet
+from dualdepth.networks.pose_net import make_pose_net
 from dualdepth.profile import Profile
 from dualdepth.run import Run, Sources
 from dualdepth.training.checkpoints import checkpoint_paths
@@ -94,7 +94,8 @@ def make_stage(profile: Profile, name: str, start: Path | None = None) -> Stage:
     variant, training = profile.variant(name), profile.of_variant(name).training
     # a dual network's LR-Net has the weights of `start`: only a first training begins with ImageNet's
     depth_net = profile.architecture(name).build(training.pretrained if variant.network in ("lr", "single") else False)
-    stage = Stage(depth_net, PoseNet(), training, low=variant.network == "lr")
+    pose_net = make_pose_net(training.beyond_paper_pose_encoder, training.pretrained and not start)
+    stage = Stage(depth_net, pose_net, training, low=variant.network == "lr")
     if start:
         load_weights(start, stage.pose_net, prefix="pose_net.")
         if variant.network == "dual":
@@ -125,6 +126,7 @@ def _card(run: Run, name: str, triplets: int, drives: list[str], start: Path | N
         # whether the encoder began with ImageNet's weights, here or in stage 1
         "pretrained": variant.network != "hr" and (before["pretrained"] if before else bool(profile.training.pretrained)),
         "drives": sorted(set(drives) | set(before["drives"] if before else ())),
+        "pose_encoder": profile.training.beyond_paper_pose_encoder,
         "average": profile.training.beyond_paper_average,
         "starts_from": {k: before[k] for k in ("variant", "seed", "steps", "sha256")} if before else None,
         "stamp": run.stamp([run.index(name), *([start] if start else [])]),

@@ -4,7 +4,9 @@ import pytest
 import torch
 from torch import nn
 
-from dualdepth.networks.pose_net import PoseNet
+from dualdepth.geometry import pose_matrix
+from dualdepth.networks.encoders import make_encoder
+from dualdepth.networks.pose_net import EncoderPoseNet, PoseNet
 
 
 @pytest.fixture
@@ -63,3 +65,31 @@ def test_its_output_is_linear_and_scaled(net):
         net.layers[-1].bias.copy_(torch.arange(-6.0, 6.0))
     expected = 0.1 * torch.arange(-6.0, 6.0).view(1, 2, 6).expand(2, 2, 6)
     assert torch.allclose(net(images()), expected)
+
+
+@pytest.fixture
+def encoded():
+    torch.manual_seed(0)
+    return EncoderPoseNet("efficientnet_lite0", True).eval()
+
+
+def test_with_an_encoder_one_motion_of_the_car_gives_a_pose_and_its_inverse(encoded):
+    seen = images(size=(64, 96))
+    seen[:, 1], seen[:, 2] = seen[:, 0], seen[:, 0]  # both pairs are the same two images
+    to_previous, to_next = pose_matrix(encoded(seen)).unbind(1)
+    assert (to_next - torch.eye(4)).abs().max() > 1e-4
+    assert torch.allclose(to_previous @ to_next, torch.eye(4), atol=1e-6)
+
+
+@pytest.mark.parametrize(("view", "poses"), [(0, [0, 1]), (1, [0]), (2, [1])])
+def test_with_an_encoder_each_pose_is_of_its_own_two_images(encoded, view, poses):
+    before, changed = images(size=(64, 96)), images(size=(64, 96))
+    changed[:, view] = 1 - changed[:, view]
+    moved = (encoded(changed) - encoded(before)).abs().amax(dim=(0, 2)) > 1e-7
+    assert moved.nonzero().flatten().tolist() == poses
+
+
+def test_with_an_encoder_two_equal_images_are_seen_as_one_is(encoded):
+    image = images(size=(64, 96))[:, 0]
+    alone = make_encoder("efficientnet_lite0", True).eval()
+    assert torch.allclose(encoded.encoder(image.repeat(1, 2, 1, 1))[-1], alone(image)[-1], atol=1e-3)

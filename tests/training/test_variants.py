@@ -15,7 +15,7 @@ from dualdepth.data.odometry import odometry_triplets
 from dualdepth.data.triplets import write_triplets
 from dualdepth.errors import InputError
 from dualdepth.files import file_digest, locked
-from dualdepth.model import load
+from dualdepth.model import load, load_pose_net
 from dualdepth.networks.architecture import Architecture
 from dualdepth.networks.depth_nets import DualNet, LRNet
 from dualdepth.networks.pose_net import PoseNet
@@ -74,6 +74,16 @@ def test_imagenets_weights_are_for_networks_that_start_from_nothing(trained, mon
     profile = trained.profile.model_copy(update={"training": trained.profile.training.model_copy(update={"pretrained": True})})
     make_stage(profile, name, start_weights(trained, name, 0))
     assert asked == [pretrained]
+
+
+def test_a_posenet_with_an_encoder_is_trained_and_read_back_and_another_is_no_start_of_stage_2(after_stage_1):
+    with_encoder = {"training.beyond_paper_pose_encoder": "efficientnet_lite0"}
+    run = after_stage_1(train={"lr": None, "dual": with_encoder, "one_network": with_encoder | {"training.hr.max_steps": 1}})
+    train_variant(run, "one_network", 0)
+    net, size = load_pose_net(run.weights("one_network", 0))
+    assert size == (192, 192) and equal(net.state_dict(), part(run.weights("one_network", 0), "pose_net."))
+    with pytest.raises(InputError, match="pose_net"):
+        train_variant(run, "dual", 0)
 
 
 def test_the_card_says_which_network_it_is_what_it_saw_and_what_it_started_from(trained, encoder):
