@@ -132,12 +132,11 @@ class DepthModel(nn.Module, ModelHubMixin):
         maps = []
         with tqdm(total=len(images), desc="predicting", unit="image", disable=len(images) <= batch_size) as bar:
             for start in range(0, len(images), batch_size):
-                arrays = [_rgb(image, read) for image in images[start : start + batch_size]]
-                frames = np.stack([resample(array, self.size) for array in arrays]).transpose(0, 3, 1, 2)
-                seen = to_unit(torch.from_numpy(np.ascontiguousarray(frames)).to(self.device))
+                batch = [tensor_of(_rgb(image, read), self.size) for image in images[start : start + batch_size]]
+                seen = to_unit(torch.stack(batch).to(self.device))
                 with torch.autocast(self.device.type, torch.bfloat16, enabled=self.precision == "bf16"):
                     maps.append(self(seen)[:, 0].float().cpu().numpy())
-                bar.update(len(arrays))
+                bar.update(len(batch))
         disparities = np.concatenate(maps)
         if not np.isfinite(disparities).all():
             raise InputError(f"the network's numbers are not finite in {self.precision}; its weights are damaged or need float32")
@@ -236,13 +235,17 @@ def predict_poses(net: PoseNet, size: tuple[int, int], paths: Sequence[str | Pat
     frames: list[Tensor] = []
     poses = []
     for number, path in enumerate(tqdm(paths, desc="predicting poses", unit="image"), 1):
-        image = to_unit(torch.from_numpy(resample(read_image(path), size).transpose(2, 0, 1).copy()))
-        frames.append(low_resolution(image[None])[0])
+        frames.append(low_resolution(to_unit(tensor_of(read_image(path), size))[None])[0])
         if len(frames) == batch_size + 2 or (number == len(paths) and len(frames) > 2):
             views = [torch.stack([frames[i], frames[i - 1], frames[i + 1]]) for i in range(1, len(frames) - 1)]
             poses.append(pose_matrix(net(torch.stack(views).to(device)).double()).cpu())
             frames = frames[-2:]
     return torch.cat(poses).numpy()
+
+
+def tensor_of(image: np.ndarray, size: tuple[int, int]) -> Tensor:
+    """(3, h, w) uint8 of an image (H, W, 3) uint8, resampled to `size` = (h, w)."""
+    return torch.from_numpy(resample(image, size).transpose(2, 0, 1).copy())
 
 
 def _of_card(card: dict[str, Any], source: object, *needed: str) -> tuple[Architecture, tuple[int, int]]:

@@ -83,9 +83,8 @@ def odometry_table(run: Run, scores: Scores) -> pd.DataFrame:
         cut = f"snippets of {length} frames, {'each from one output of PoseNet' if length == 3 else 'cut from the trajectory'}"
         for name, method in _methods(run).items():
             row = method_row(scores, name, (), note="" if name in CONTROLS else ", ".join([*train, cut]))
-            rows.append(
-                {"method": method, "frames": length, **row, **({} if name in scores.missing else _numbers(run, scores, name, length))}
-            )
+            numbers = {} if name in scores.missing else _numbers(run, scores, name, length)
+            rows.append({"method": method, "frames": length, **row, **numbers})
     return with_paper("odometry", rows)
 
 
