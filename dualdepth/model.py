@@ -1,5 +1,6 @@
 """A trained network and its card: `load(weights).predict(image)`, disparities for the tables, motions of PoseNet."""
 
+import inspect
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,6 @@ from dualdepth.training.weights import HUB_CARD, load_card, load_weights, save_w
 UNIT = 16.0
 """Relative depth is reported as 16 / disparity (1.6 … 1600). Stored as uint16 × 256, as KITTI's, that resolves near depths to 0.25 %."""
 WEIGHTS = "model.safetensors"
-HUB_OPTIONS = ("revision", "cache_dir", "token", "local_files_only", "force_download")
 Image = str | Path | np.ndarray
 """An image file (turned as its EXIF data say; grey, 16-bit and transparent ones are read as 8-bit RGB), or (H, W, 3) uint8 RGB."""
 
@@ -153,7 +153,7 @@ class DepthModel(nn.Module, ModelHubMixin):
                 `work/<profile>/runs/<variant>/seed<n>/model.safetensors`; the folder of one; or a name on the model hub, `owner/name`.
             device: such as `cpu`, `cuda`, `cuda:1`, `mps`; None takes a GPU where there is one.
             precision: `float32` or `bf16`; None takes bf16 on a CUDA GPU that has it, else float32.
-            hub: `revision`, `cache_dir`, `token`, `local_files_only` and `force_download` of `huggingface_hub.snapshot_download`.
+            hub: options of `huggingface_hub.snapshot_download`, such as `revision`, `cache_dir`, `token`, `local_files_only`.
 
         Returns:
             The model; `predict(image)` gives (H, W) float32 relative depth, `about` says what it was learned from.
@@ -170,8 +170,7 @@ class DepthModel(nn.Module, ModelHubMixin):
         (375, 1242)
         >>> folder.cleanup()
         """
-        if unknown := sorted(hub.keys() - HUB_OPTIONS):
-            raise TypeError(f"from_pretrained() has no option {', '.join(unknown)}; there are device, precision, {', '.join(HUB_OPTIONS)}")
+        inspect.signature(snapshot_download).bind(weights, **hub)  # unknown options are a TypeError of folders, too
         path = Path(weights)
         if not path.exists():
             if path.is_absolute() or path.suffix == ".safetensors":

@@ -39,9 +39,8 @@ def odometry_scores(run: Run, seeds: Sequence[int]) -> Scores:
     elif not entries:
         reason = f"profile {run.profile.name} scores no sequence"
     drives = drives_of(entries, world=run.profile.world is not None)
-    scores = collect(
-        run, run.profile.pose_variants, seeds, lambda t: pd.concat([follow(t, e) for e in entries]), reason=reason, drives=drives
-    )
+    variants = run.profile.pose_variants
+    scores = collect(run, variants, seeds, lambda t: pd.concat([follow(t, e) for e in entries]), reason=reason, drives=drives)
     known = "" if reason else f"the mean step of sequences {' '.join(known_sequences(run))}, never turning"
     notes = {"constant": known, "straight": "a metre a frame along the optical axis", "inverted": "a mistake that snippets hardly see"}
     for name in CONTROLS:
