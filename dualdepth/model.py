@@ -1,5 +1,6 @@
 """A trained network and its card: `load(weights).predict(image)`, disparities for the tables, motions of PoseNet."""
 
+import inspect
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,6 @@ from dualdepth.training.weights import HUB_CARD, load_card, load_weights, save_w
 UNIT = 16.0
 """Relative depth is reported as 16 / disparity (1.6 … 1600). Stored as uint16 × 256, as KITTI's, that resolves near depths to 0.25 %."""
 WEIGHTS = "model.safetensors"
-HUB_OPTIONS = ("revision", "cache_dir", "token", "local_files_only", "force_download")
 Image = str | Path | np.ndarray
 """An image file (turned as its EXIF data say; grey, 16-bit and transparent ones are read as 8-bit RGB), or (H, W, 3) uint8 RGB."""
 
@@ -132,12 +132,11 @@ class DepthModel(nn.Module, ModelHubMixin):
         maps = []
         with tqdm(total=len(images), desc="predicting", unit="image", disable=len(images) <= batch_size) as bar:
             for start in range(0, len(images), batch_size):
-                arrays = [_rgb(image, read) for image in images[start : start + batch_size]]
-                frames = np.stack([resample(array, self.size) for array in arrays]).transpose(0, 3, 1, 2)
-                seen = to_unit(torch.from_numpy(np.ascontiguousarray(frames)).to(self.device))
+                batch = [tensor_of(_rgb(image, read), self.size) for image in images[start : start + batch_size]]
+                seen = to_unit(torch.stack(batch).to(self.device))
                 with torch.autocast(self.device.type, torch.bfloat16, enabled=self.precision == "bf16"):
                     maps.append(self(seen)[:, 0].float().cpu().numpy())
-                bar.update(len(arrays))
+                bar.update(len(batch))
         disparities = np.concatenate(maps)
         if not np.isfinite(disparities).all():
             raise InputError(f"the network's numbers are not finite in {self.precision}; its weights are damaged or need float32")
@@ -154,7 +153,7 @@ class DepthModel(nn.Module, ModelHubMixin):
                 `work/<profile>/runs/<variant>/seed<n>/model.safetensors`; the folder of one; or a name on the model hub, `owner/name`.
             device: such as `cpu`, `cuda`, `cuda:1`, `mps`; None takes a GPU where there is one.
             precision: `float32` or `bf16`; None takes bf16 on a CUDA GPU that has it, else float32.
-            hub: `revision`, `cache_dir`, `token`, `local_files_only` and `force_download` of `huggingface_hub.snapshot_download`.
+            hub: options of `huggingface_hub.snapshot_download`, such as `revision`, `cache_dir`, `token`, `local_files_only`.
 
         Returns:
             The model; `predict(image)` gives (H, W) float32 relative depth, `about` says what it was learned from.
@@ -171,8 +170,7 @@ class DepthModel(nn.Module, ModelHubMixin):
         (375, 1242)
         >>> folder.cleanup()
         """
-        if unknown := sorted(hub.keys() - HUB_OPTIONS):
-            raise TypeError(f"from_pretrained() has no option {', '.join(unknown)}; there are device, precision, {', '.join(HUB_OPTIONS)}")
+        inspect.signature(snapshot_download).bind(weights, **hub)  # unknown options are a TypeError of folders, too
         path = Path(weights)
         if not path.exists():
             if path.is_absolute() or path.suffix == ".safetensors":
@@ -236,13 +234,17 @@ def predict_poses(net: PoseNet | EncoderPoseNet, size: tuple[int, int], paths: S
     frames: list[Tensor] = []
     poses = []
     for number, path in enumerate(tqdm(paths, desc="predicting poses", unit="image"), 1):
-        image = to_unit(torch.from_numpy(resample(read_image(path), size).transpose(2, 0, 1).copy()))
-        frames.append(low_resolution(image[None])[0])
+        frames.append(low_resolution(to_unit(tensor_of(read_image(path), size))[None])[0])
         if len(frames) == batch_size + 2 or (number == len(paths) and len(frames) > 2):
             views = [torch.stack([frames[i], frames[i - 1], frames[i + 1]]) for i in range(1, len(frames) - 1)]
             poses.append(pose_matrix(net(torch.stack(views).to(device)).double()).cpu())
             frames = frames[-2:]
     return torch.cat(poses).numpy()
+
+
+def tensor_of(image: np.ndarray, size: tuple[int, int]) -> Tensor:
+    """(3, h, w) uint8 of an image (H, W, 3) uint8, resampled to `size` = (h, w)."""
+    return torch.from_numpy(resample(image, size).transpose(2, 0, 1).copy())
 
 
 def _of_card(card: dict[str, Any], source: object, *needed: str) -> tuple[Architecture, tuple[int, int]]:

@@ -48,8 +48,6 @@ class Report(NamedTuple):
     """Provenance of every table and figure."""
     figures: dict[str, Path]
     assumptions: list[tuple[str, str, str]]
-    captions: dict[str, str]
-    """Of the figures."""
 
 
 def assumptions(loss: Loss) -> list[tuple[str, str, str]]:
@@ -90,9 +88,8 @@ def make_report(run: Run) -> Report:
     stamps += [path.with_suffix(".json") for path in figures.values()]
     more = {name: read[name] for name in ("odometry_trajectories", "odometry_motions", "odometry_claims") if name in read}
     chosen = assumptions(run.profile.training.loss)
-    captions = CAPTIONS if run.profile.data.has_truth else CAPTIONS | _WORDS["without_truth"]
     said = headline(tables["main"])
-    return Report(run, said, caution, claims, numbers, tables, more, _provenance(run, stamps), figures, chosen, captions)
+    return Report(run, said, caution, claims, numbers, tables, more, _provenance(run, stamps), figures, chosen)
 
 
 def headline(main: pd.DataFrame) -> str:
@@ -161,9 +158,8 @@ def digits_of(name: str) -> int:
 
 def html(report: Report) -> str:
     """The page, with everything in it: no file, script or address of elsewhere."""
-    environment = Environment(
-        loader=FileSystemLoader(PACKAGE), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
+    options = {"autoescape": True, "undefined": StrictUndefined, "trim_blocks": True, "lstrip_blocks": True}
+    environment = Environment(loader=FileSystemLoader(PACKAGE), **options)
     environment.filters |= {"cell": cell, "footnotes": footnotes}
     drawing = report.run.root / "docs/overview.svg"
     pictures = {k: base64.b64encode(path.read_bytes()).decode() for k, path in report.figures.items()}
@@ -173,6 +169,7 @@ def html(report: Report) -> str:
         claims=report.claims[["claim", "metric", "verdict", *(c for c in report.claims if c not in ("claim", "metric", "verdict"))]],
         tables={k: (title, readable(report.tables[k], digits_of(k))) for k, title in TITLES.items()},
         pictures=pictures,
+        captions=CAPTIONS if report.run.profile.data.has_truth else CAPTIONS | _WORDS["without_truth"],
         more={k: readable(frame, digits_of(k)) for k, frame in report.more.items()},
         oddities=paper.ODDITIES,
         rules=RULES,

@@ -267,15 +267,6 @@ CODE = {
 
 `training` is what a training's weights are of, `predict` the scores kept beside them; the others are of steps of the chain.
 """
-EXEMPT = {
-    "dualdepth": "names and version",
-    "errors": "words of messages",
-    "files": "how bytes reach the disk, not which",
-    "settings": "their values are compared one by one",
-    "profile": "its values are compared one by one",
-    "run": "where files lie, stamps, and these lists",
-}
-"""Modules that no step lists though its notebook imports them, and why a change in them makes nothing stale."""
 
 
 def code_digest(step: str) -> str:

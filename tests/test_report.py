@@ -49,7 +49,7 @@ def test_only_claims_of_a_world_that_was_learned_are_judged(make_run, profile, c
     assert made.claims["verdict"].isin(["reproduced", "within noise"]).any() == (profile == "miniature")
     assert made.numbers.query("metric == 'abs_rel'")["verdict"].dropna().eq("not run").all()
     own = profile == "own"
-    assert ("laser" not in made.captions["main_depth"]) == own and ("scale is unknown" in html(made)) == own
+    assert ("laser depth, predicted" not in html(made)) == own and ("scale is unknown" in html(made)) == own
 
 
 def test_the_papers_profile_judges_numbers(make_run):

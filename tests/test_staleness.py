@@ -7,11 +7,14 @@ import pytest
 from import_graph import ROOT, closure, modules, notebook_imports
 
 from dualdepth import run
-from dualdepth.run import CODE, EXEMPT, Run, code_digest, notebook_digest
+from dualdepth.run import CODE, Run, code_digest, notebook_digest
 
 NOTEBOOKS = sorted(path.stem for path in (ROOT / "notebooks").glob("*.ipynb"))
 STEPS = dict(re.findall(r'made_from\(\s*"?([\w\[\]]+)"?,\s*"(\w+)"', (ROOT / "Snakefile").read_text(encoding="utf-8")))
 """The step that the Snakefile names with a notebook, or with the expression that stands for several."""
+EXEMPT = ("dualdepth", "errors", "files", "settings", "profile", "run")
+"""Modules that no step lists though its notebook imports them: names and version, words of messages, how bytes reach the disk (not which),
+settings and profiles (their values are compared one by one), where files lie."""
 SOURCE = '''"""A module."""
 
 import math

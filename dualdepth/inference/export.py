@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from dualdepth.data.frames import resample
 from dualdepth.data.kitti import read_image
 from dualdepth.errors import InputError
 from dualdepth.files import atomic_path, check_writable
-from dualdepth.model import UNIT, DepthModel, load
+from dualdepth.geometry import to_unit
+from dualdepth.model import UNIT, DepthModel, load, tensor_of
 
 IMAGE, DISPARITY = "image", "disparity"
 """Names of the graph's input and output."""
@@ -50,7 +50,9 @@ def export_onnx(weights: str | Path, out: str | Path, frames: Sequence[str | Pat
     if out.suffix != ".onnx" or out.is_dir():
         raise InputError(f"{out}: is no name for an ONNX file; give --out one that ends in .onnx")
     model = load(weights, "cpu", "float32")
-    images = [unit_image(read_image(path), model.size) for path in frames] or made_up_images(model.size)
+    rng, (height, width) = np.random.default_rng(0), model.size
+    blots = (rng.integers(0, 255, (height // 16, width // 16, 3), np.uint8) for _ in range(3))
+    images = [to_unit(tensor_of(image, model.size)).numpy() for image in (map(read_image, frames) if frames else blots)]
     batches = [*(image[None] for image in images), np.stack(images[:3])]
     with torch.inference_mode():
         expected = [model(torch.from_numpy(batch)).numpy() for batch in batches]
@@ -62,7 +64,7 @@ def export_onnx(weights: str | Path, out: str | Path, frames: Sequence[str | Pat
             reason = str(error.__cause__ or error).partition("\n")[0]
             raise InputError(f"{weights}: torch cannot export encoder {model.architecture.encoder!r} ({reason})") from None
         difference = _difference(partial, batches, expected, out)
-    sizes = f"image (B, 3, {model.size[0]}, {model.size[1]}) -> disparity (B, 1, {expected[0].shape[2]}, {expected[0].shape[3]})"
+    sizes = f"image (B, 3, {height}, {width}) -> disparity (B, 1, {expected[0].shape[2]}, {expected[0].shape[3]})"
     written = f"{out}: {sizes}, {out.stat().st_size / 1e6:.1f} MB"
     return f"{written}\nlargest relative difference from PyTorch on {len(images)} images: {difference:.2g} (tolerance {TOLERANCE:g})"
 
@@ -108,17 +110,6 @@ def run_onnx(path: str | Path, batches: Sequence[np.ndarray]) -> list[np.ndarray
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # threads that wait must sleep, as torch's do here
     session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
     return [session.run([DISPARITY], {IMAGE: images})[0] for images in batches]
-
-
-def unit_image(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """(3, h, w) float32 in [0, 1] of an image (H, W, 3) in [0, 255], resampled to `size` (h, w)."""
-    return np.ascontiguousarray(resample(image, size).transpose(2, 0, 1), np.float32) / 255
-
-
-def made_up_images(size: tuple[int, int], count: int = 3) -> list[np.ndarray]:
-    """Images (3, H, W) float32 in [0, 1], of soft blots."""
-    rng = np.random.default_rng(0)
-    return [unit_image(rng.integers(0, 255, (size[0] // 16, size[1] // 16, 3), np.uint8), size) for _ in range(count)]
 
 
 def _difference(path: Path, batches: Sequence[np.ndarray], expected: Sequence[np.ndarray], out: Path) -> float:

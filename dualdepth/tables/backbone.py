@@ -66,9 +66,8 @@ def backbone_table(run: Run, scores: Scores, repeats: int = 3) -> pd.DataFrame:
     the metrics, n, source, seeds, note, reason (why there are no metrics), leak.
     """
     rows = []
-    cost = "cost of a new network at the paper's size" + (
-        "" if has_bf16(default_device()) else ", bf16 not measured: the device only imitates it"
-    )
+    imitated = "" if has_bf16(default_device()) else ", bf16 not measured: the device only imitates it"
+    cost = f"cost of a new network at the paper's size{imitated}"
     for name, (_, variant) in NETWORKS.items():
         row = method_row(scores, variant, note=scored(run).note)
         note = "; ".join([cost, *([f"metrics of variant {variant}: {row['note']}"] if "note" in row else [])])

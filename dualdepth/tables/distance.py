@@ -27,10 +27,7 @@ def distance_table(run: Run, by_ratio: dict[bool, Scores]) -> pd.DataFrame:
 
 def distance_claims(scores: Scores) -> pd.DataFrame:
     """The dual networks against LR-Net in each part, paired; and whether the far part gains more, which is the paper's claim."""
-    near, far = PARTS
-    dual = ("dual", "dual_no_sa")
-    rows = [row for part in PARTS for variant in dual for row in paired(scores, variant, "lr", part=part)]
-    rows += [
-        row for variant in dual for relative in (False, True) for row in gains(scores, (variant, "lr"), (far, near), relative=relative)
-    ]
+    pairs, (near, far) = [("dual", "lr"), ("dual_no_sa", "lr")], PARTS
+    rows = [row for part in PARTS for pair in pairs for row in paired(scores, *pair, part=part)]
+    rows += [row for pair in pairs for relative in (False, True) for row in gains(scores, pair, (far, near), relative=relative)]
     return comparisons(rows)

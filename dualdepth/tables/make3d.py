@@ -57,10 +57,8 @@ def _read(pairs: tuple[PhotoGrid, ...]) -> Photos:
     grids = np.stack([read_grid(pair.grid) for pair in pairs])
     truncated = tuple(pair.photo.name for pair in pairs if is_truncated(pair.photo))
     if len(truncated) > 1:
-        more = f" and {len(truncated) - 3} more" if len(truncated) > 3 else ""
-        raise InputError(
-            f"{pairs[0].photo.parent}: {', '.join(truncated[:3])}{more} are truncated; one photo is published so, copy the others again"
-        )
+        shown = ", ".join(truncated[:3]) + (f" and {len(truncated) - 3} more" if len(truncated) > 3 else "")
+        raise InputError(f"{pairs[0].photo.parent}: {shown} are truncated; one photo is published so, copy the others again")
     digests = [(pair.name, file_digest(pair.photo), file_digest(pair.grid)) for pair in pairs]
     return Photos(pairs, grids, truncated, hashlib.sha256(str(digests).encode()).hexdigest())
 

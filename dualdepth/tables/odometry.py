@@ -39,9 +39,8 @@ def odometry_scores(run: Run, seeds: Sequence[int]) -> Scores:
     elif not entries:
         reason = f"profile {run.profile.name} scores no sequence"
     drives = drives_of(entries, world=run.profile.world is not None)
-    scores = collect(
-        run, run.profile.pose_variants, seeds, lambda t: pd.concat([follow(t, e) for e in entries]), reason=reason, drives=drives
-    )
+    variants = run.profile.pose_variants
+    scores = collect(run, variants, seeds, lambda t: pd.concat([follow(t, e) for e in entries]), reason=reason, drives=drives)
     known = "" if reason else f"the mean step of sequences {' '.join(known_sequences(run))}, never turning"
     notes = {"constant": known, "straight": "a metre a frame along the optical axis", "inverted": "a mistake that snippets hardly see"}
     for name in CONTROLS:
@@ -83,9 +82,8 @@ def odometry_table(run: Run, scores: Scores) -> pd.DataFrame:
         cut = f"snippets of {length} frames, {'each from one output of PoseNet' if length == 3 else 'cut from the trajectory'}"
         for name, method in _methods(run).items():
             row = method_row(scores, name, (), note="" if name in CONTROLS else ", ".join([*train, cut]))
-            rows.append(
-                {"method": method, "frames": length, **row, **({} if name in scores.missing else _numbers(run, scores, name, length))}
-            )
+            numbers = {} if name in scores.missing else _numbers(run, scores, name, length)
+            rows.append({"method": method, "frames": length, **row, **numbers})
     return with_paper("odometry", rows)
 
 

@@ -99,9 +99,8 @@ def map_rows(
     windows = windows or [np.s_[:, :]] * len(images)
     columns, (height, width, _) = 1 + len(maps), images[0][windows[0]].shape
     figure = Picture(figsize=(13.0, len(images) * (12.4 / columns * (height / width) + 0.22) + 0.1), layout="constrained")
-    for row, window, image, title, *values in zip(
-        figure.subplots(len(images), columns, squeeze=False), windows, images, titles, *maps.values()
-    ):
+    cells = figure.subplots(len(images), columns, squeeze=False)
+    for row, window, image, title, *values in zip(cells, windows, images, titles, *maps.values()):
         show_image(row[0], image[window], title)
         for axes, name, value in zip(row[1:], maps, values):
             if name in errors:

@@ -100,12 +100,8 @@ def gains(scores: Scores, pair: tuple[str, str], parts: Sequence[str], *, relati
     shared = found[0].index.intersection(found[1].index)
     first, second = (gain.loc[shared].to_numpy().T for gain in found)
     name = "relative gain" if relative else "gain"
-    place = {
-        "of": " against ".join(parts),
-        **{side: f"{name} of {pair[0]}, {part}" for side, part in zip("ab", parts)},
-        "metric": "abs_rel",
-    }
-    return [place | compared(first, second, lower_is_better=False)]
+    a, b = (f"{name} of {pair[0]}, {part}" for part in parts)
+    return [{"of": " against ".join(parts), "a": a, "b": b, "metric": "abs_rel"} | compared(first, second, lower_is_better=False)]
 
 
 def compared(a: np.ndarray, b: np.ndarray, *, lower_is_better: bool, block: int = 1) -> dict[str, Any]:

@@ -69,10 +69,8 @@ def region_table(run: Run, scores: Scores) -> pd.DataFrame:
         for variant, method in METHODS.items():
             row = method_row(scores, variant, part=region, note=scored(run).note)
             if "note" in row:
-                found = (
-                    "" if row["n"] == images else f"{row['n']} of {images} images; the others have fewer than 1 valid pixel of the region"
-                )
-                row["note"] = ", ".join(filter(None, [row["note"], labels_made_by(run), found]))
+                fewer = f"{row['n']} of {images} images; the others have fewer than 1 valid pixel of the region"
+                row["note"] = ", ".join(filter(None, [row["note"], labels_made_by(run), fewer if row["n"] != images else ""]))
             rows.append({"region": region, "method": method, **row})
     return with_paper("sa_region", rows).reindex(columns=[*COLUMNS, "seeds", "note", "reason", "leak"])
 

@@ -17,9 +17,10 @@ from small_nets import as_trained
 from dualdepth.cli import main
 from dualdepth.data.kitti import read_image
 from dualdepth.errors import InputError
+from dualdepth.geometry import to_unit
 from dualdepth.inference import export
-from dualdepth.inference.export import TOLERANCE, export_onnx, run_onnx, unit_image
-from dualdepth.model import DepthModel, load
+from dualdepth.inference.export import TOLERANCE, export_onnx, run_onnx
+from dualdepth.model import DepthModel, load, tensor_of
 from dualdepth.networks.architecture import Architecture
 from dualdepth.run import project_root
 
@@ -81,7 +82,7 @@ def check_graph(weights, file, paths):
     model = load(weights, "cpu", "float32")
     expected = model.disparities(paths)  # from the files: resized, and averaged for LR-Net
     assert expected.max() > 1.2 * expected.min()
-    images = np.stack([unit_image(read_image(path), SIZE) for path in paths])
+    images = torch.stack([to_unit(tensor_of(read_image(path), SIZE)) for path in paths]).numpy()
     together, *alone = run_onnx(file, [images, *(image[None] for image in images)])
     for found in (together, np.concatenate(alone)):
         np.testing.assert_allclose(found[:, 0], expected, rtol=TOLERANCE)
