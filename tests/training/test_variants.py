@@ -82,7 +82,7 @@ def test_a_posenet_with_an_encoder_is_trained_and_read_back_and_another_is_no_st
     train_variant(run, "one_network", 0)
     net, size = load_pose_net(run.weights("one_network", 0))
     assert size == (192, 192) and equal(net.state_dict(), part(run.weights("one_network", 0), "pose_net."))
-    with pytest.raises(InputError, match="pose_net"):
+    with pytest.raises(InputError, match="another network"):
         train_variant(run, "dual", 0)
 
 
