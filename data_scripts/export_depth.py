@@ -36,40 +36,20 @@ def present_frames(paths: Sequence[Path | None], frames: Sequence[Frame], allow_
     return present
 
 
-def export_frames(
-    frames: Sequence[Frame],
-    out: str | Path,
-    *,
-    kitti: str | Path | None = None,
-    camera_z: bool = False,
-    improved: str | Path | None = None,
-    allow_missing: bool = False,
-) -> int:
-    """Write the ground truth of frames to `out` and return the number of maps.
+def depth_maps(root: str | Path, frames: Sequence[Frame], *, camera_z: bool = False, improved: bool = False) -> Iterator[np.ndarray]:
+    """Ground truth of frames, one after the other: (H, W) float32 in metres, 0 where there is no measurement.
 
     Args:
-        frames, out: in the order of the maps, and the npz file that they go to.
-        kitti: folder of KITTI raw, for projected laser scans.
+        root, frames: KITTI raw, or the folder of the accumulated maps, which are taken if `improved`.
         camera_z: depth along the camera's axis instead of the laser's forward coordinate.
-        improved: folder of the accumulated maps, which are then taken instead.
-        allow_missing: leave out frames whose file is missing.
 
     Raises:
-        InputError: files are missing (all are named in one message) or broken, or `out` cannot be written.
+        InputError: a file is missing or broken.
     """
-    root = check_root(kitti) if improved is None else Path(improved)
-    paths = [improved_path(root, frame) if improved else velodyne_path(root, frame) for frame in frames]
-    present = present_frames(paths, frames, allow_missing)
-
-    def maps() -> Iterator[np.ndarray]:
-        # a bar in a pipe would break the one-line error
-        for number in tqdm(present, "ground truth", unit="frame", disable=None):
-            frame = frames[number]
-            with reading(root / str(frame), "change its permissions"):  # an error of the system, else told as one of writing
-                depth = improved_ground_truth(root, frame) if improved else ground_truth(root, frame, camera_z=camera_z)
-            yield depth
-
-    return save_ground_truth(out, maps(), (f"{number:06d}" for number in present))
+    for frame in tqdm(frames, "ground truth", unit="frame", disable=None):  # a bar in a pipe would break the one-line error
+        with reading(Path(root, str(frame)), "change its permissions"):  # an error of the system, else told as one of writing
+            depth = improved_ground_truth(root, frame) if improved else ground_truth(root, frame, camera_z=camera_z)
+        yield depth
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -86,13 +66,17 @@ def main(argv: list[str] | None = None) -> None:
     kind.add_argument("--camera-z", action="store_true", help="depth along the camera's axis instead of the laser's forward coordinate")
     kind.add_argument("--improved", metavar="ROOT", help="take KITTI's accumulated maps (data_depth_annotated) under this folder instead")
     parser.add_argument("--allow-missing", action="store_true", help="leave out frames whose file is missing; else they are an error")
-    arguments = parser.parse_args(argv)
+    given = parser.parse_args(argv)
     with exit_on_input_error():
-        if not (arguments.kitti or arguments.improved):
+        if not (given.kitti or given.improved):
             raise InputError("give --kitti ROOT, the folder that holds 2011_09_26, 2011_09_28, …")
-        options = vars(arguments)
-        count = export_frames(read_frame_list(options.pop("list")), **options)
-        print(f"{arguments.out}: {count} depth maps")
+        frames, improved = read_frame_list(given.list), bool(given.improved)
+        root = given.improved or check_root(given.kitti)
+        paths = [improved_path(root, frame) if improved else velodyne_path(root, frame) for frame in frames]
+        present = present_frames(paths, frames, given.allow_missing)
+        maps = depth_maps(root, [frames[number] for number in present], camera_z=given.camera_z, improved=improved)
+        count = save_ground_truth(given.out, maps, (f"{number:06d}" for number in present))
+        print(f"{given.out}: {count} depth maps")
 
 
 if __name__ == "__main__":

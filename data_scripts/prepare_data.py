@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from data_scripts.export_depth import export_frames
+from data_scripts.export_depth import depth_maps
 from data_scripts.find_data import find_data
 from dualdepth.data.depth_maps import save_ground_truth
 from dualdepth.data.kitti import (
@@ -84,13 +84,14 @@ def prepare(run: Run) -> Prepared:
     write_triplets(out / "triplets.csv", root, [triplet for _, triplet in whole])
     write_identity(run, sources, kept)
     if data.has_truth:
-        export_frames(scored, out / "ground_truth.npz", kitti=root)
+        truth = depth_maps(root, scored)
     else:  # of an own camera: nothing was measured (0)
-        save_ground_truth(out / "ground_truth.npz", (np.zeros(read_image(path).shape[:2], np.float32) for path in shown))
+        truth = (np.zeros(read_image(path).shape[:2], np.float32) for path in shown)
+    save_ground_truth(out / "ground_truth.npz", truth)
     for name in ("baseline_truth.npz", "odometry.csv"):  # of an earlier preparation
         (out / name).unlink(missing_ok=True)
     if fitted:
-        export_frames(fitted, out / "baseline_truth.npz", kitti=root)
+        save_ground_truth(out / "baseline_truth.npz", depth_maps(root, fitted))
     write_json(out / "test_frames.json", {"listed": listed, "frames": scored})
     odometry = odometry_triplets(sources.odometry_root, sequences, broken)
     if odometry:
