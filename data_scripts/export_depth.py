@@ -7,7 +7,8 @@ The default is the laser's forward coordinate, as in all published numbers on th
 """
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -36,19 +37,11 @@ def present_frames(paths: Sequence[Path | None], frames: Sequence[Frame], allow_
     return present
 
 
-def depth_maps(root: str | Path, frames: Sequence[Frame], *, camera_z: bool = False, improved: bool = False) -> Iterator[np.ndarray]:
-    """Ground truth of frames, one after the other: (H, W) float32 in metres, 0 where there is no measurement.
-
-    Args:
-        root, frames: KITTI raw, or the folder of the accumulated maps, which are taken if `improved`.
-        camera_z: depth along the camera's axis instead of the laser's forward coordinate.
-
-    Raises:
-        InputError: a file is missing or broken.
-    """
+def depth_maps(frames: Sequence[Frame], read: Callable[[Frame], np.ndarray]) -> Iterator[np.ndarray]:
+    """What `read` gives of each frame: (H, W) float32 in metres, 0 where there is no measurement."""
     for frame in tqdm(frames, "ground truth", unit="frame", disable=None):  # a bar in a pipe would break the one-line error
-        with reading(Path(root, str(frame)), "change its permissions"):  # an error of the system, else told as one of writing
-            depth = improved_ground_truth(root, frame) if improved else ground_truth(root, frame, camera_z=camera_z)
+        with reading(str(frame), "change its permissions"):  # an error of the system, else told as one of writing
+            depth = read(frame)
         yield depth
 
 
@@ -70,11 +63,14 @@ def main(argv: list[str] | None = None) -> None:
     with exit_on_input_error():
         if not (given.kitti or given.improved):
             raise InputError("give --kitti ROOT, the folder that holds 2011_09_26, 2011_09_28, …")
-        frames, improved = read_frame_list(given.list), bool(given.improved)
-        root = given.improved or check_root(given.kitti)
-        paths = [improved_path(root, frame) if improved else velodyne_path(root, frame) for frame in frames]
-        present = present_frames(paths, frames, given.allow_missing)
-        maps = depth_maps(root, [frames[number] for number in present], camera_z=given.camera_z, improved=improved)
+        frames = read_frame_list(given.list)
+        if given.improved:
+            find, read = partial(improved_path, given.improved), partial(improved_ground_truth, given.improved)
+        else:
+            root = check_root(given.kitti)
+            find, read = partial(velodyne_path, root), partial(ground_truth, root, camera_z=given.camera_z)
+        present = present_frames([find(frame) for frame in frames], frames, given.allow_missing)
+        maps = depth_maps([frames[number] for number in present], read)
         count = save_ground_truth(given.out, maps, (f"{number:06d}" for number in present))
         print(f"{given.out}: {count} depth maps")
 

@@ -28,7 +28,8 @@ TIMEOUT = 30.0
 PAUSES = (1.0, 2.0, 5.0, 10.0, 30.0)
 """Seconds before each new attempt; attempts are counted anew whenever bytes came."""
 SILENT = tqdm(disable=True)
-BROKEN = (urllib.error.URLError, ConnectionError, TimeoutError, http.client.HTTPException)
+BROKEN = (urllib.error.URLError, ConnectionError, TimeoutError, ssl.SSLError, http.client.HTTPException)
+"""What another attempt may mend; the disk's errors are none of these."""
 
 
 class _NoRedirect(urllib.request.HTTPRedirectHandler):
@@ -161,18 +162,10 @@ def _transfer(address: str, partial: Path, mark: Path, bar: tqdm) -> None:
             write_text(mark, _version(response))
         length = response.headers["Content-Length"]
         with open(partial, "ab") as file:
-            while chunk := _read(response):
+            while chunk := response.read(CHUNK):
                 bar.update(file.write(chunk))
         if length is not None and partial.stat().st_size != have + int(length):
             raise ConnectionError(f"the connection ended after {partial.stat().st_size} of {have + int(length)} bytes")
-
-
-def _read(response: http.client.HTTPResponse) -> bytes:
-    try:
-        return response.read(CHUNK)
-    except (OSError, http.client.HTTPException) as error:
-        # Told apart from an error of writing, which another attempt would not mend.
-        raise ConnectionError(str(error)) from None
 
 
 def _version(response: http.client.HTTPResponse) -> str:
