@@ -182,11 +182,9 @@ def _with_retries(action: Callable[[], Any], address: str, mend: str, progress: 
             return action()
         except BROKEN as error:
             failures, before = 1 if progress() > before else failures + 1, progress()
-            reason, patience = getattr(error, "reason", error), len(PAUSES)
-            if isinstance(reason, ssl.SSLCertVerificationError):
-                patience = 0
-            elif isinstance(reason, socket.gaierror) and not before:
-                patience = 1  # without a network at all nobody wants to wait
+            reason = getattr(error, "reason", error)
+            nameless = isinstance(reason, socket.gaierror) and not before  # without a network at all nobody wants to wait
+            patience = 0 if isinstance(reason, ssl.SSLCertVerificationError) else 1 if nameless else len(PAUSES)
             if failures > patience:
                 if isinstance(error, urllib.error.HTTPError):
                     raise InputError(f"{address}: the server fails (HTTP {error.code}); try again later") from None
