@@ -18,7 +18,7 @@ from typing import IO, Any
 
 from tqdm import tqdm
 
-from data_scripts.fetch import disk_error, require_space
+from data_scripts.fetch import SILENT, disk_error, require_space
 from dualdepth.errors import InputError
 
 CHUNK = 1 << 20
@@ -43,7 +43,7 @@ def unpack(
     archive: str | Path,
     folder: str | Path,
     place: Callable[[str], str | None] = str,
-    bar: tqdm | None = None,
+    bar: tqdm = SILENT,
     check: Callable[[Path], dict[str, Any]] = lambda _: {},
 ) -> dict[str, Any]:
     """Unpack an archive below `folder`, all of it or nothing.
@@ -64,7 +64,7 @@ def unpack(
             or members that point outside of `folder`.
         InputError: the disk has no room for what the archive announces, or cannot be written.
     """
-    archive, folder, bar = Path(archive), Path(folder), bar if bar is not None else tqdm(disable=True)
+    archive, folder = Path(archive), Path(folder)
     staging = folder / f".{archive.name}.unpacking"
     try:
         limit = max(MOST_OF_SMALL, SWELLING * archive.stat().st_size)

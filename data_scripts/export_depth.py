@@ -7,7 +7,8 @@ The default is the laser's forward coordinate, as in all published numbers on th
 """
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -36,40 +37,12 @@ def present_frames(paths: Sequence[Path | None], frames: Sequence[Frame], allow_
     return present
 
 
-def export_frames(
-    frames: Sequence[Frame],
-    out: str | Path,
-    *,
-    kitti: str | Path | None = None,
-    camera_z: bool = False,
-    improved: str | Path | None = None,
-    allow_missing: bool = False,
-) -> int:
-    """Write the ground truth of frames to `out` and return the number of maps.
-
-    Args:
-        frames, out: in the order of the maps, and the npz file that they go to.
-        kitti: folder of KITTI raw, for projected laser scans.
-        camera_z: depth along the camera's axis instead of the laser's forward coordinate.
-        improved: folder of the accumulated maps, which are then taken instead.
-        allow_missing: leave out frames whose file is missing.
-
-    Raises:
-        InputError: files are missing (all are named in one message) or broken, or `out` cannot be written.
-    """
-    root = check_root(kitti) if improved is None else Path(improved)
-    paths = [improved_path(root, frame) if improved else velodyne_path(root, frame) for frame in frames]
-    present = present_frames(paths, frames, allow_missing)
-
-    def maps() -> Iterator[np.ndarray]:
-        # a bar in a pipe would break the one-line error
-        for number in tqdm(present, "ground truth", unit="frame", disable=None):
-            frame = frames[number]
-            with reading(root / str(frame), "change its permissions"):  # an error of the system, else told as one of writing
-                depth = improved_ground_truth(root, frame) if improved else ground_truth(root, frame, camera_z=camera_z)
-            yield depth
-
-    return save_ground_truth(out, maps(), (f"{number:06d}" for number in present))
+def depth_maps(frames: Sequence[Frame], read: Callable[[Frame], np.ndarray]) -> Iterator[np.ndarray]:
+    """What `read` gives of each frame: (H, W) float32 in metres, 0 where there is no measurement."""
+    for frame in tqdm(frames, "ground truth", unit="frame", disable=None):  # a bar in a pipe would break the one-line error
+        with reading(str(frame), "change its permissions"):  # an error of the system, else told as one of writing
+            depth = read(frame)
+        yield depth
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -86,13 +59,20 @@ def main(argv: list[str] | None = None) -> None:
     kind.add_argument("--camera-z", action="store_true", help="depth along the camera's axis instead of the laser's forward coordinate")
     kind.add_argument("--improved", metavar="ROOT", help="take KITTI's accumulated maps (data_depth_annotated) under this folder instead")
     parser.add_argument("--allow-missing", action="store_true", help="leave out frames whose file is missing; else they are an error")
-    arguments = parser.parse_args(argv)
+    given = parser.parse_args(argv)
     with exit_on_input_error():
-        if not (arguments.kitti or arguments.improved):
+        if not (given.kitti or given.improved):
             raise InputError("give --kitti ROOT, the folder that holds 2011_09_26, 2011_09_28, …")
-        options = vars(arguments)
-        count = export_frames(read_frame_list(options.pop("list")), **options)
-        print(f"{arguments.out}: {count} depth maps")
+        frames = read_frame_list(given.list)
+        if given.improved:
+            find, read = partial(improved_path, given.improved), partial(improved_ground_truth, given.improved)
+        else:
+            root = check_root(given.kitti)
+            find, read = partial(velodyne_path, root), partial(ground_truth, root, camera_z=given.camera_z)
+        present = present_frames([find(frame) for frame in frames], frames, given.allow_missing)
+        maps = depth_maps([frames[number] for number in present], read)
+        count = save_ground_truth(given.out, maps, (f"{number:06d}" for number in present))
+        print(f"{given.out}: {count} depth maps")
 
 
 if __name__ == "__main__":

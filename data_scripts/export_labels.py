@@ -34,12 +34,11 @@ Size = tuple[int, int] | None
 
 
 class Segmenter(NamedTuple):
-    """A segmentation model, the processor of its images, and what to call it."""
+    """A segmentation model, the processor of its images, and for `labels.json` its name, revision, sha256 of the weights, versions."""
 
     model: Any
     processor: Any
     facts: dict[str, Any]
-    """For `labels.json`: model, revision, sha256 of its weights as loaded, versions."""
 
 
 def load_segmenter(model: str, *, revision: str, device: str | None, allow_pickle: bool) -> Segmenter:

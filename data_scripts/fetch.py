@@ -5,7 +5,6 @@ once it is whole and its checksum, where one is known, is right. A broken connec
 """
 
 import errno
-import functools
 import hashlib
 import http.client
 import shutil
@@ -13,7 +12,6 @@ import socket
 import ssl
 import time
 import urllib.error
-import urllib.parse
 import urllib.request
 from collections.abc import Callable
 from pathlib import Path
@@ -24,13 +22,14 @@ from tqdm import tqdm
 from dualdepth.errors import InputError
 from dualdepth.files import write_text
 
-LOOPBACK = ("127.0.0.1", "::1", "localhost")
 CHUNK = 1 << 18
 TIMEOUT = 30.0
 """Seconds without a byte after which a connection counts as broken."""
 PAUSES = (1.0, 2.0, 5.0, 10.0, 30.0)
 """Seconds before each new attempt; attempts are counted anew whenever bytes came."""
-BROKEN = (urllib.error.URLError, ConnectionError, TimeoutError, http.client.HTTPException)
+SILENT = tqdm(disable=True)
+BROKEN = (urllib.error.URLError, ConnectionError, TimeoutError, ssl.SSLError, http.client.HTTPException)
+"""What another attempt may mend; the disk's errors are none of these."""
 
 
 class _NoRedirect(urllib.request.HTTPRedirectHandler):
@@ -52,7 +51,7 @@ def remote_size(address: str) -> int:
     return int(size)
 
 
-def fetch(address: str, path: str | Path, *, digest: str | None = None, bar: tqdm | None = None) -> Path:
+def fetch(address: str, path: str | Path, *, digest: str | None = None, bar: tqdm = SILENT) -> Path:
     """Download `address` to `path`, going on from an earlier `.part`; a file that is already at `path` is only verified.
 
     Args:
@@ -68,11 +67,8 @@ def fetch(address: str, path: str | Path, *, digest: str | None = None, bar: tqd
             raise InputError(f"{path}: {wrong}; it differs from {address}; delete it to have it downloaded again")
         return path
     partial, mark = path.with_name(f"{path.name}.part"), path.with_name(f"{path.name}.part.etag")
-    bar = bar if bar is not None else tqdm(disable=True)
-    others, mend = bar.n - part_size(path), f"or put it at {path} yourself"
     try:
-        transfer = functools.partial(_transfer, address, partial, mark, lambda size: bar.update(others + size - bar.n))
-        _with_retries(transfer, address, mend, lambda: part_size(path))
+        _with_retries(lambda: _transfer(address, partial, mark, bar), address, f"or put it at {path} yourself", lambda: part_size(path))
         if wrong := _wrong_checksum(partial, digest):
             partial.unlink()
             raise InputError(f"{partial}: {wrong}; the download is deleted; run again")
@@ -126,10 +122,7 @@ def _wrong_checksum(path: Path, digest: str | None) -> str | None:
 
 
 def _open(address: str, headers: dict[str, str] | None = None, method: str = "GET") -> http.client.HTTPResponse:
-    """Open an https address (plain http on loopback only); follows no redirect."""
-    parts = urllib.parse.urlsplit(address)
-    if parts.scheme != "https" and not (parts.scheme == "http" and parts.hostname in LOOPBACK):
-        raise InputError(f"{address}: only https addresses are downloaded")
+    """Open an address; follows no redirect."""
     # Identity, since ranges of a compressed transfer would not be ranges of the file.
     request = urllib.request.Request(address, headers={"Accept-Encoding": "identity"} | (headers or {}), method=method)
     try:
@@ -143,7 +136,7 @@ def _open(address: str, headers: dict[str, str] | None = None, method: str = "GE
         raise InputError(f"{address}: the server refuses (HTTP {error.code} {error.reason})") from None
 
 
-def _transfer(address: str, partial: Path, mark: Path, tell: Callable[[int], None]) -> None:
+def _transfer(address: str, partial: Path, mark: Path, bar: tqdm) -> None:
     """One connection's worth of a download: append to `partial` if the server still has the same file, else start over."""
     have = partial.stat().st_size if partial.exists() else 0
     version = mark.read_text(encoding="utf-8") if have and mark.exists() else ""
@@ -154,33 +147,25 @@ def _transfer(address: str, partial: Path, mark: Path, tell: Callable[[int], Non
         if error.code == 416 and error.headers["Content-Range"] == f"bytes */{have}":
             return  # nothing lies beyond what we have: an earlier run was stopped just before the end
         if error.code == 416:
-            partial.unlink()
+            mark.unlink(missing_ok=True)  # without it the next attempt starts over
         raise
     with response:
         content = response.headers["Content-Range"] or ""
         if response.status == 206 and not (content.startswith(f"bytes {have}-") and _version(response) in ("", version)):
-            partial.unlink()  # a 206 need not repeat the version, but must not have another
+            mark.unlink(missing_ok=True)  # a 206 need not repeat the version, but must not have another
             raise ConnectionError("the server answered with another part of the file than asked for")
         if response.status != 206:
+            bar.update(-have)
             have = 0
             partial.parent.mkdir(parents=True, exist_ok=True)
             partial.unlink(missing_ok=True)
             write_text(mark, _version(response))
         length = response.headers["Content-Length"]
         with open(partial, "ab") as file:
-            while chunk := _read(response):
-                file.write(chunk)
-                tell(file.tell())
+            while chunk := response.read(CHUNK):
+                bar.update(file.write(chunk))
         if length is not None and partial.stat().st_size != have + int(length):
             raise ConnectionError(f"the connection ended after {partial.stat().st_size} of {have + int(length)} bytes")
-
-
-def _read(response: http.client.HTTPResponse) -> bytes:
-    try:
-        return response.read(CHUNK)
-    except (OSError, http.client.HTTPException) as error:
-        # Told apart from an error of writing, which another attempt would not mend.
-        raise ConnectionError(str(error)) from None
 
 
 def _version(response: http.client.HTTPResponse) -> str:
@@ -197,11 +182,9 @@ def _with_retries(action: Callable[[], Any], address: str, mend: str, progress: 
             return action()
         except BROKEN as error:
             failures, before = 1 if progress() > before else failures + 1, progress()
-            reason, patience = getattr(error, "reason", error), len(PAUSES)
-            if isinstance(reason, ssl.SSLCertVerificationError):
-                patience = 0
-            elif isinstance(reason, socket.gaierror) and not before:
-                patience = 1  # without a network at all nobody wants to wait
+            reason = getattr(error, "reason", error)
+            nameless = isinstance(reason, socket.gaierror) and not before  # without a network at all nobody wants to wait
+            patience = 0 if isinstance(reason, ssl.SSLCertVerificationError) else 1 if nameless else len(PAUSES)
             if failures > patience:
                 if isinstance(error, urllib.error.HTTPError):
                     raise InputError(f"{address}: the server fails (HTTP {error.code}); try again later") from None

@@ -69,9 +69,7 @@ def make(
             said = write(partial, footages, camera_of(footages, **given), **options)
             said |= {"inputs": [str(f.path) for f in footages], "made_from": digest}
             write_json(partial / dataset.RECORD, said)
-            if out.exists():
-                out.rmdir()
-            partial.rename(out)
+            partial.rename(out)  # an empty folder gives way
         except OSError as error:
             raise InputError(f"{out}: could not be written ({error}); free space, or give another --out") from None
         finally:

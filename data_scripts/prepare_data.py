@@ -11,13 +11,14 @@ import os
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from tqdm import tqdm
 
-from data_scripts.export_depth import export_frames
+from data_scripts.export_depth import depth_maps
 from data_scripts.find_data import find_data
 from dualdepth.data.depth_maps import save_ground_truth
 from dualdepth.data.kitti import (
@@ -31,6 +32,7 @@ from dualdepth.data.kitti import (
     velodyne_path,
 )
 from dualdepth.data.label_maps import label_path
+from dualdepth.data.lidar import ground_truth
 from dualdepth.data.odometry import check_odometry_root, frame_files, odometry_triplets, poses_path, sequence_of
 from dualdepth.data.triplets import drive_triplets, missing_files_error, missing_neighbours, raw_triplets, write_triplets
 from dualdepth.errors import InputError, exit_on_input_error
@@ -83,14 +85,13 @@ def prepare(run: Run) -> Prepared:
     fitted = laser_frames(sources, kept, data.baseline_frames)
     write_triplets(out / "triplets.csv", root, [triplet for _, triplet in whole])
     write_identity(run, sources, kept)
-    if data.has_truth:
-        export_frames(scored, out / "ground_truth.npz", kitti=root)
-    else:  # of an own camera: nothing was measured (0)
-        save_ground_truth(out / "ground_truth.npz", (np.zeros(read_image(path).shape[:2], np.float32) for path in shown))
+    measured = partial(ground_truth, root)
+    unmeasured = (np.zeros(read_image(path).shape[:2], np.float32) for path in shown)  # of an own camera
+    save_ground_truth(out / "ground_truth.npz", depth_maps(scored, measured) if data.has_truth else unmeasured)
     for name in ("baseline_truth.npz", "odometry.csv"):  # of an earlier preparation
         (out / name).unlink(missing_ok=True)
     if fitted:
-        export_frames(fitted, out / "baseline_truth.npz", kitti=root)
+        save_ground_truth(out / "baseline_truth.npz", depth_maps(fitted, measured))
     write_json(out / "test_frames.json", {"listed": listed, "frames": scored})
     odometry = odometry_triplets(sources.odometry_root, sequences, broken)
     if odometry:

@@ -25,11 +25,11 @@ LISTS_HOME = "https://raw.githubusercontent.com/"
 CAMERAS = ("image_00", "image_01", "image_02", "image_03")
 DATES = ("2011_09_26", "2011_09_28", "2011_09_29", "2011_09_30", "2011_10_03")
 
-MONODEPTH2 = "nianticlabs/monodepth2/b676244e5a1ca55564eb5d16ab521a48f823af31/splits"
+SPLITS = "nianticlabs/monodepth2/b676244e5a1ca55564eb5d16ab521a48f823af31/splits"
 SFMLEARNER = "tinghuiz/SfMLearner/2a387b763bc2b6f95b095f929bf751797c9db68a/data/kitti"
 
 
-class FieldList(NamedTuple):
+class Entry(NamedTuple):
     """A list that the field's papers share: its path below `LISTS_HOME`, and the sha256 of its bytes."""
 
     path: str
@@ -37,18 +37,12 @@ class FieldList(NamedTuple):
 
 
 LISTS = {
-    "eigen_test": FieldList(f"{MONODEPTH2}/eigen/test_files.txt", "e226d4ca16e0e6e9695435014347dcf973588531330536fd8a68d298ef091a6b"),
-    "eigen_zhou_train": FieldList(
-        f"{MONODEPTH2}/eigen_zhou/train_files.txt", "00173a231642151c4693274e701ddd4cae7916520a757c7a94eae8e1173f7b0c"
-    ),
-    "eigen_zhou_val": FieldList(
-        f"{MONODEPTH2}/eigen_zhou/val_files.txt", "64a868b8d2c66c3979a2d74c22ea2e9146850d5b9f5786ed8e5f92201ba1ad04"
-    ),
-    "eigen_improved": FieldList(
-        f"{MONODEPTH2}/eigen_benchmark/test_files.txt", "d56e5e509e6960a01fb93795f85028ac6e4a82ad40e64b6e968988e4db95b9be"
-    ),
-    "static_frames": FieldList(f"{SFMLEARNER}/static_frames.txt", "268ef2acb91035acca2db9631d23af5a4c1a9a95af31c9099a000fba82c88e11"),
-    "test_scenes": FieldList(f"{SFMLEARNER}/test_scenes_eigen.txt", "df2563d0d3482ab6da413cdc4471b04938970a5317f6bd843b9280a81d437981"),
+    "eigen_test": Entry(f"{SPLITS}/eigen/test_files.txt", "e226d4ca16e0e6e9695435014347dcf973588531330536fd8a68d298ef091a6b"),
+    "eigen_zhou_train": Entry(f"{SPLITS}/eigen_zhou/train_files.txt", "00173a231642151c4693274e701ddd4cae7916520a757c7a94eae8e1173f7b0c"),
+    "eigen_zhou_val": Entry(f"{SPLITS}/eigen_zhou/val_files.txt", "64a868b8d2c66c3979a2d74c22ea2e9146850d5b9f5786ed8e5f92201ba1ad04"),
+    "eigen_improved": Entry(f"{SPLITS}/eigen_benchmark/test_files.txt", "d56e5e509e6960a01fb93795f85028ac6e4a82ad40e64b6e968988e4db95b9be"),
+    "static_frames": Entry(f"{SFMLEARNER}/static_frames.txt", "268ef2acb91035acca2db9631d23af5a4c1a9a95af31c9099a000fba82c88e11"),
+    "test_scenes": Entry(f"{SFMLEARNER}/test_scenes_eigen.txt", "df2563d0d3482ab6da413cdc4471b04938970a5317f6bd843b9280a81d437981"),
 }
 DERIVED = {"sample_test": ("eigen_test", ("2011_09_26_drive_0052_sync", "2011_09_26_drive_0013_sync"))}
 """Lists that are the lines of another one from some drives: `sample` scores the Eigen frames of the two smallest suitable drives."""
@@ -93,20 +87,13 @@ def profile_drives(data: Data, lists: Mapping[str, Path]) -> list[str]:
 class Archive(NamedTuple):
     """A zip of KITTI's, or a gzipped tar of Make3D's."""
 
-    address: str
-    """Relative to the data set's home."""
-    marker: str
-    """File below the root that is written last, and says that the archive is unpacked."""
-    folder: str = ""
-    """Folder below the root to unpack in."""
-    strip: str = ""
-    """Leading folder of the members that is dropped."""
-    pattern: str = ""
-    """Of the file names that alone are kept, whatever folders the archive nests them in."""
-    images: bool = False
-    """Whether it holds cameras that can be chosen from."""
-    digest: str | None = None
-    """`method:hex`, where one is published."""
+    address: str  # relative to the data set's home
+    marker: str  # file below the root that is written last, and says that the archive is unpacked
+    folder: str = ""  # folder below the root to unpack in
+    strip: str = ""  # leading folder of the members that is dropped
+    pattern: str = ""  # of the file names that alone are kept, whatever folders the archive nests them in
+    images: bool = False  # whether it holds cameras that can be chosen from
+    digest: str | None = None  # `method:hex`, where one is published
 
     @property
     def name(self) -> str:

@@ -153,9 +153,8 @@ def measured(footages: Sequence[Footage], focal: float, stride: int) -> pd.DataF
         for place, footage in enumerate(footages):
             last, copy = None, None
             for still in footage.stills(range(0, 10**9, stride)):
-                number, image, moved = still.number, small_copy(still.image), None
-                if last is not None and number - last == stride:
-                    moved = motion(copy, image, focal)
+                number, image = still.number, small_copy(still.image)
+                moved = motion(copy, image, focal) if last is not None and number - last == stride else None
                 link = moved.link if moved else "first" if last is None else "gap"
                 rows.append((place, number, link, *(moved or [np.nan] * 3)))
                 last, copy = number, image

@@ -34,17 +34,15 @@ def save_ground_truth(path: str | Path, maps: Iterable[np.ndarray], names: Itera
     Raises:
         InputError: the file cannot be written.
     """
-    path, count = Path(path), 0
-    keys = iter(names) if names is not None else map("{:06d}".format, itertools.count())
+    path, keys = Path(path), names or map("{:06d}".format, itertools.count())
     try:
         with atomic_path(path) as partial, zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED) as archive:
-            for depth in maps:
-                with archive.open(f"{next(keys)}.npy", "w", force_zip64=True) as file:  # of 1980, whatever the time
+            for key, depth in zip(keys, maps):
+                with archive.open(f"{key}.npy", "w", force_zip64=True) as file:  # of 1980, whatever the time
                     np.lib.format.write_array(file, np.ascontiguousarray(depth, np.float32), allow_pickle=False)
-                count += 1
+            return len(archive.namelist())
     except OSError as error:
         raise InputError(f"{path}: cannot write the ground truth ({error.strerror})") from None
-    return count
 
 
 class DepthMaps(Sequence):

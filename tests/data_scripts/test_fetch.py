@@ -119,12 +119,6 @@ def test_no_network_is_told_with_the_mend(tmp_path, monkeypatch):
             remote_size(f"http://127.0.0.1:{taken.getsockname()[1]}/file")
 
 
-@pytest.mark.parametrize("address", ["http://example.org/file", "file:///etc/passwd", "ftp://127.0.0.1/file"])
-def test_only_https_is_downloaded(address, tmp_path):
-    with pytest.raises(InputError, match="only https"):
-        fetch(address, tmp_path / "file")
-
-
 def test_redirects_are_not_followed():
     request = urllib.request.Request("https://example.org/a")
     with pytest.raises(InputError, match=r"redirects to https://elsewhere\.org"):

@@ -35,8 +35,7 @@ def test_an_unknown_list_names_the_known_ones(tmp_path):
 @pytest.fixture
 def cached_lists(real, tmp_path):
     for name, entry in LISTS.items():
-        origin = "sfmlearner" if entry.path.startswith(sources.SFMLEARNER) else "monodepth2"
-        home = getattr(sources, origin.upper())
+        origin, home = ("sfmlearner", sources.SFMLEARNER) if sources.SFMLEARNER in entry.path else ("monodepth2", sources.SPLITS)
         shutil.copy(real("splits") / origin / entry.path.removeprefix(f"{home}/"), tmp_path / f"{name}.txt")
     return tmp_path
 
