@@ -46,7 +46,7 @@ fast: env ## the fast ring of the unit tests, a minute; with the environment at 
 	pytest
 
 mutants: env ## break lines of the science one at a time, and see that the tests notice each
-	python -m tests.mutants
+	python -m tools.mutants
 
 soak: env ## the long form of the tests of reliability, to results/published/reliability.csv: make soak [PARTS="kills fuzz"]
 	python -m tests.reliability.soak $(PARTS)

@@ -1,6 +1,6 @@
 """Break lines of the science one at a time, and see that the tests notice each.
 
-    python -m tests.mutants [WORDS]    # all, or those whose description has the words
+    python -m tools.mutants [WORDS]    # all, or those whose description has the words
 
 `mutants.yaml` lists them: what a line is for, its file below `dualdepth/`, words that stand there once, what they become, and the test
 files below `tests/` of which one must fail.
@@ -23,7 +23,7 @@ def failing(root: Path, file: str, old: str, new: str, tests: list[str], **_: st
     path = root / "dualdepth" / file
     whole = path.read_text(encoding="utf-8")
     if whole.count(old) != 1:
-        raise ValueError(f"{old!r} stands {whole.count(old)} times in {file}; mend tests/mutants.yaml")
+        raise ValueError(f"{old!r} stands {whole.count(old)} times in {file}; mend tools/mutants.yaml")
     path.write_text(whole.replace(old, new), encoding="utf-8")
     options = ["-x", "-q", "-rfE", "-n", "0", "-m", "not soak", "-p", "no:cacheprovider"]
     words = ["-m", "pytest", *options, *(f"tests/{name}" for name in tests)]
