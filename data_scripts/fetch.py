@@ -23,10 +23,8 @@ from dualdepth.errors import InputError
 from dualdepth.files import write_text
 
 CHUNK = 1 << 18
-TIMEOUT = 30.0
-"""Seconds without a byte after which a connection counts as broken."""
-PAUSES = (1.0, 2.0, 5.0, 10.0, 30.0)
-"""Seconds before each new attempt; attempts are counted anew whenever bytes came."""
+TIMEOUT = 30.0  # seconds without a byte after which a connection counts as broken
+PAUSES = (1.0, 2.0, 5.0, 10.0, 30.0)  # seconds before each new attempt; attempts are counted anew whenever bytes came
 SILENT = tqdm(disable=True)
 BROKEN = (urllib.error.URLError, ConnectionError, TimeoutError, ssl.SSLError, http.client.HTTPException)
 """What another attempt may mend; the disk's errors are none of these."""

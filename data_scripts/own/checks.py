@@ -17,22 +17,15 @@ from dualdepth.data.frames import Footage
 FEWEST, FEWEST_USED = 30, 20
 """Frames, at least, and of these in drives: what is learned from fewer is those frames."""
 MOST_STRIDE = 30
-MOST_CUTS = 0.2
-"""Share of neighbours that may not show the same place."""
-HELD_OUT = 0.1
-"""Share of the frames that is kept for pictures, from the end."""
-APART = 3
-"""Frames left out between those that are trained on and those held out."""
-WIDTH = 256
-"""Pixels of the small copies."""
-STATIC = 0.001
-"""Flow, as a share of the width, below which the camera stands still: a quarter of a small pixel."""
-NOISE = 0.0003
-"""Flow, as a share of the width, that noise alone may give; it gives 0.0002."""
+MOST_CUTS = 0.2  # share of neighbours that may not show the same place
+HELD_OUT = 0.1  # share of the frames that is kept for pictures, from the end
+APART = 3  # frames left out between those that are trained on and those held out
+WIDTH = 256  # pixels of the small copies
+STATIC = 0.001  # flow, as a share of the width, below which the camera stands still: a quarter of a small pixel
+NOISE = 0.0003  # flow, as a share of the width, that noise alone may give; it gives 0.0002
 USEFUL = (0.004, 0.03)
 """Median flow that a data set may have. KITTI's drives have 0.008 to 0.013, with 0.004 and 0.03 as their slowest and fastest pairs."""
-AIM = 0.012
-"""Median flow that a stride is chosen for: KITTI's at 10 Hz."""
+AIM = 0.012  # median flow that a stride is chosen for: KITTI's at 10 Hz
 SAME_PLACE = 0.3
 """Share of pixels whose flow forth and back agrees, below which two frames are no neighbours: KITTI's have at least 0.5, frames that do
 not belong together at most 0.27."""
@@ -47,12 +40,9 @@ LINKS = {"moving": "moves", "still": "still", "cuts": "cut", "gaps": "gap"}
 class Motion(NamedTuple):
     """From one frame to another."""
 
-    flow: float
-    """Median length of the flow, as a share of the width."""
-    agrees: float
-    """Share of pixels whose flow forth and back agrees."""
-    travels: float
-    """Median length of what no turn of the camera explains, as a share of the median flow; NaN where nothing agrees."""
+    flow: float  # median length of the flow, as a share of the width
+    agrees: float  # share of pixels whose flow forth and back agrees
+    travels: float  # median length of what no turn of the camera explains, as a share of the median flow; NaN where nothing agrees
 
     @property
     def link(self) -> str:
@@ -113,10 +103,8 @@ class Film(NamedTuple):
 
     stride: int
     drives: list[Drive]
-    counts: dict[str, int]
-    """Frames: read, used, standing, short (in pieces of fewer than three); pairs of neighbours: those of `LINKS`."""
-    medians: dict[str, float]
-    """flow (share of the width), agrees, travels, of neighbours that moved."""
+    counts: dict[str, int]  # frames: read, used, standing, short (in pieces of fewer than three); pairs of neighbours: those of `LINKS`
+    medians: dict[str, float]  # flow (share of the width), agrees, travels, of neighbours that moved
     checks: dict[str, str]
     """By the names of the checks, in the order in which a failure explains the next: what was found and what to do; empty: passed."""
 

@@ -89,12 +89,9 @@ class Video:
 class FootageFrame(NamedTuple):
     """One frame of a footage."""
 
-    number: int
-    """Its place in time; neighbours differ by one, and a number that is missing is a gap."""
-    image: np.ndarray
-    """(H, W, 3) uint8, RGB."""
-    file: Path | None
-    """Its image file; None for a video's."""
+    number: int  # its place in time; neighbours differ by one, and a number that is missing is a gap
+    image: np.ndarray  # (H, W, 3) uint8, RGB
+    file: Path | None  # its image file; None for a video's
 
 
 class Footage:
