@@ -67,9 +67,10 @@ class DepthModel(nn.Module, ModelHubMixin):
         precision: Precision | None = None,
     ) -> None:
         super().__init__()
-        self.architecture, self.size = _of_card(card, "the card")
-        """Which network it is, and (height, width) that images are resized to; LR-Net sees a third of it."""
-        self.card = card | self.architecture.model_dump()
+        self.architecture = _of_card(card, "the card")
+        self.size = self.architecture.hr_size
+        """(height, width) that images are resized to; LR-Net sees a third of it."""
+        self.card = card | self.architecture.model_dump(mode="json")
         """What is known of the weights."""
         self.device = choose_device(device)
         self.precision = inference_precision(precision, self.device)
@@ -188,7 +189,7 @@ class DepthModel(nn.Module, ModelHubMixin):
         return model
 
     def _save_pretrained(self, save_directory: Path) -> None:
-        card = {key: value for key, value in self.card.items() if key != "sha256"} | {"hr_size": list(self.size)}
+        card = {key: value for key, value in self.card.items() if key != "sha256"}
         save_weights(save_directory / WEIGHTS, self, card, HUB_CARD)
 
     def generate_model_card(self, *_args: Any, **_kwargs: Any) -> ModelCard:
@@ -209,7 +210,7 @@ def load_pose_net(weights: str | Path, device: str | torch.device = "cpu") -> tu
     """
     net = make_pose_net(load_card(weights).get("pose_encoder"))
     card = load_weights(weights, net, prefix="pose_net.")
-    return net.eval().to(device), _of_card(card, Path(weights).with_suffix(".json"))[1]
+    return net.eval().to(device), _of_card(card, Path(weights).with_suffix(".json")).hr_size
 
 
 @torch.inference_mode()
@@ -247,8 +248,8 @@ def tensor_of(image: np.ndarray, size: tuple[int, int]) -> Tensor:
     return torch.from_numpy(resample(image, size).transpose(2, 0, 1).copy())
 
 
-def _of_card(card: dict[str, Any], source: object, *needed: str) -> tuple[Architecture, tuple[int, int]]:
-    """The network that a card names, all `needed` words of it, and the (height, width) of its images.
+def _of_card(card: dict[str, Any], source: object, *needed: str) -> _Card:
+    """The network that a card names, all `needed` words of it, and the size of its images.
 
     Raises:
         InputError: it names none; the message begins with `source`.
@@ -256,11 +257,10 @@ def _of_card(card: dict[str, Any], source: object, *needed: str) -> tuple[Archit
     try:
         if missing := [name for name in ("network", "hr_size", *needed) if name not in card]:
             raise ValueError(f"{missing[0]} is missing")
-        found = _Card.model_validate(card)
+        return _Card.model_validate(card)
     except ValueError as error:
         wrong = first_mistake(error) if isinstance(error, ValidationError) else error
         raise InputError(f"{source}: names no network of this project ({wrong}); keep the card that was written with it") from None
-    return Architecture(**found.model_dump(exclude={"hr_size"})), found.hr_size
 
 
 def _rgb(image: Image, read: Callable[[str | Path], np.ndarray]) -> np.ndarray:

@@ -23,6 +23,7 @@ OPSET = 20
 TOLERANCE = 1e-3
 """Largest |ONNX − PyTorch| / PyTorch of a disparity, both in float32. ONNX Runtime's sigmoid is right to 1.7e-7, which is 1.4e-4 of the
 smallest disparities; the rest is for sums in another order. A thousandth is below what any table shows."""
+MEND = "try the versions of environment.lock"
 
 
 def export_onnx(weights: str | Path, out: str | Path, frames: Sequence[str | Path] = ()) -> str:
@@ -63,7 +64,14 @@ def export_onnx(weights: str | Path, out: str | Path, frames: Sequence[str | Pat
         except torch.onnx.errors.OnnxExporterError as error:
             reason = str(error.__cause__ or error).partition("\n")[0]
             raise InputError(f"{weights}: torch cannot export encoder {model.architecture.encoder!r} ({reason})") from None
-        difference = _difference(partial, batches, expected, out)
+        try:
+            found = run_onnx(partial, batches)
+        except Exception as error:  # ONNX Runtime's errors have no class in common
+            raise InputError(f"{out}: not written, since ONNX Runtime cannot run it ({str(error)[:200]}); {MEND}") from None
+        difference = float(np.max([np.abs(ours / theirs - 1).max() for ours, theirs in zip(found, expected)]))
+        if not difference <= TOLERANCE:
+            off = f"off PyTorch's by {difference:.2g} of their value, more than {TOLERANCE:g}"
+            raise InputError(f"{out}: not written, since ONNX Runtime's disparities are {off}; {MEND}")
     sizes = f"image (B, 3, {height}, {width}) -> disparity (B, 1, {expected[0].shape[2]}, {expected[0].shape[3]})"
     written = f"{out}: {sizes}, {out.stat().st_size / 1e6:.1f} MB"
     return f"{written}\nlargest relative difference from PyTorch on {len(images)} images: {difference:.2g} (tolerance {TOLERANCE:g})"
@@ -110,17 +118,3 @@ def run_onnx(path: str | Path, batches: Sequence[np.ndarray]) -> list[np.ndarray
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # threads that wait must sleep, as torch's do here
     session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
     return [session.run([DISPARITY], {IMAGE: images})[0] for images in batches]
-
-
-def _difference(path: Path, batches: Sequence[np.ndarray], expected: Sequence[np.ndarray], out: Path) -> float:
-    """Of a file's disparities from PyTorch's, which must not be above `TOLERANCE`; `out` is what the file will be called."""
-    mend = "try the versions of environment.lock"
-    try:
-        found = run_onnx(path, batches)
-    except Exception as error:  # ONNX Runtime's errors have no class in common
-        raise InputError(f"{out}: not written, since ONNX Runtime cannot run it ({str(error)[:200]}); {mend}") from None
-    difference = float(np.max([np.abs(ours / theirs - 1).max() for ours, theirs in zip(found, expected)]))
-    if not difference <= TOLERANCE:
-        off = f"off PyTorch's by {difference:.2g} of their value, more than {TOLERANCE:g}"
-        raise InputError(f"{out}: not written, since ONNX Runtime's disparities are {off}; {mend}")
-    return difference

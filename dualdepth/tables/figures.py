@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 
 from dualdepth.evaluation.parts import FAR, POLE
@@ -35,8 +36,6 @@ def interpolated(sparse: np.ndarray) -> np.ndarray:
 
 def boundary_window(depth: np.ndarray) -> Window:
     """Where depth (H, W) jumps most: the window with the largest steps from left to right, on a logarithmic scale."""
-    import cv2
-
     steps = np.abs(np.diff(np.log(np.maximum(depth, 1e-3)), axis=1)).clip(max=1)
     steps[depth[:, 1:] * depth[:, :-1] <= 0] = 0
     spread = max(0.3 * depth.shape[0], 8) / 3
@@ -53,8 +52,6 @@ def far_window(truth: np.ndarray) -> Window | None:
 
 def pole_window(labels: np.ndarray) -> Window | None:
     """Around the largest pole; None where there is none of 20 pixels or more."""
-    import cv2
-
     count, _, stats, centres = cv2.connectedComponentsWithStats((labels == POLE).astype(np.uint8))
     if count < 2 or stats[1:, cv2.CC_STAT_AREA].max() < 20:
         return None

@@ -2,7 +2,6 @@
 
 import hashlib
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import cv2
@@ -65,11 +64,7 @@ def _read(pairs: tuple[PhotoGrid, ...]) -> Photos:
 
 def predict_photos(model: DepthModel, pairs: Sequence[PhotoGrid], convention: str) -> np.ndarray:
     """Depth (N, h, w) of what the network is shown of each photo, at its own size, of unknown scale."""
-
-    def read(path: str | Path) -> np.ndarray:
-        return visible(read_photo(path), convention)
-
-    return 1.0 / model.disparities([pair.photo for pair in pairs], read=read)
+    return 1.0 / model.disparities([pair.photo for pair in pairs], read=lambda path: visible(read_photo(path), convention))
 
 
 def score_photos(training: Trained, photos: Photos, convention: str) -> pd.DataFrame:

@@ -4,6 +4,7 @@ import io
 from collections.abc import Collection, Sequence
 from typing import Any
 
+import cv2
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -60,8 +61,6 @@ def _show_map(axes: Axes, values: np.ma.MaskedArray, title: str, ticks: dict[flo
 
 def thicken(sparse: np.ndarray) -> np.ndarray:
     """Enlarge the points of a sparse map (H, W; 0 = none) to 5×5 pixels, the nearest depth on top, so that they show in a figure."""
-    import cv2
-
     inverse = np.where(sparse > 0, 1.0 / np.maximum(sparse, 1e-3), 0).astype(np.float32)
     grown = cv2.dilate(inverse, np.ones((5, 5), np.uint8))
     return np.where(grown > 0, 1.0 / np.maximum(grown, 1e-6), 0)

@@ -14,7 +14,7 @@ from dualdepth.evaluation.parts import REGIONS, in_regions
 from dualdepth.files import file_digest
 from dualdepth.run import Run, Sources
 from dualdepth.tables.rows import comparisons, gains, method_row, paired, seed_label, with_paper
-from dualdepth.tables.scores import Scores, Trained, collect, scored
+from dualdepth.tables.scores import Scores, collect, scored
 
 METHODS = {"dual_no_sa": "w/o SA", "dual": "w/ SA"}
 COLUMNS = ["region", "method", *(f"{m}{end}" for m in METRICS for end in ("", "_std")), "n", "source", "variant"]
@@ -53,13 +53,9 @@ def region_scores(run: Run, seeds: Sequence[int]) -> Scores:
     root, frames = Sources.load(run).labels_root, scored(run)
     if root is None:
         return collect(run, METHODS, seeds, reason=NO_LABELS)
-    paths = [label_path(root, frame) for frame in frames.frames]
+    parts = in_regions(frames.label_map, [label_path(root, frame) for frame in frames.frames])
     required = f"a valid pixel of {' or '.join(REGIONS)}; check the label maps, the crop and the depth limits"
-
-    def score(training: Trained) -> pd.DataFrame:
-        return training.parts(in_regions(frames.label_map, paths), required=required)
-
-    return collect(run, METHODS, seeds, score)
+    return collect(run, METHODS, seeds, lambda training: training.parts(parts, required=required))
 
 
 def region_table(run: Run, scores: Scores) -> pd.DataFrame:

@@ -79,11 +79,8 @@ def predicted_motions(training: Trained, entry: str) -> np.ndarray:
     training.check(drives_of([entry], world=training.run.profile.world is not None))
     files = list(sequence_frames(training.run, entry).values())
     frames = [[str(f.resolve()), f.stat().st_size, f.stat().st_mtime_ns] for f in files]
-
-    def predict() -> np.ndarray:
-        return predict_poses(*load_pose_net(training.weights, default_device()), files)
-
-    return training.kept(f"motions_{'_'.join(sequence_of(entry))}.npy", {"frames": frames}, predict)
+    name = f"motions_{'_'.join(sequence_of(entry))}.npy"
+    return training.kept(name, {"frames": frames}, lambda: predict_poses(*load_pose_net(training.weights, default_device()), files))
 
 
 def follow(training: Trained, entry: str) -> pd.DataFrame:
