@@ -29,8 +29,7 @@ if TYPE_CHECKING:
     import torch
 
 MODEL = "nvidia/segformer-b5-finetuned-cityscapes-1024-1024"
-Size = tuple[int, int] | None
-"""(height, width) that images are resized to for the model; None: their own, so that nothing is stretched."""
+Size = tuple[int, int] | None  # (height, width) that images are resized to for the model; None: their own, so that nothing is stretched.
 
 
 class Segmenter(NamedTuple):

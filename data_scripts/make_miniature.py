@@ -28,8 +28,7 @@ from dualdepth.profile import load_profile
 from dualdepth.settings import World
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-STAMP = "world.json"
-"""Written last; says which settings and sources a folder was made from."""
+STAMP = "world.json"  # Written last; says which settings and sources a folder was made from.
 
 
 def make_world(world: World, out: str | Path, processes: int | None = None) -> bool:

@@ -8,8 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-MIN_Z = 1e-3
-"""Points nearer than this share of their target depth in the source camera count as behind it."""
+MIN_Z = 1e-3  # Points nearer than this share of their target depth in the source camera count as behind it.
 
 
 def rotation_matrix(angles: Tensor) -> Tensor:

@@ -14,8 +14,7 @@ from dualdepth.errors import InputError
 from dualdepth.files import atomic_path, check_writable, locked, remove_leftovers
 from dualdepth.run import Run, check_roots, parse_seeds, project_root
 
-DRY = re.compile(r"--dry-?run|-[a-z]*n[a-z]*")
-"""Snakemake's options for only saying what it would run, such as `-np`."""
+DRY = re.compile(r"--dry-?run|-[a-z]*n[a-z]*")  # Snakemake's options for only saying what it would run, such as `-np`.
 
 
 def run_chain(profile: str, roots: Mapping[str, str], seeds: str, allow_leak: bool, cores: str, options: Sequence[str]) -> NoReturn:

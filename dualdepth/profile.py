@@ -24,8 +24,7 @@ class Profile(Settings):
     """Everything a run needs to know."""
 
     name: str
-    about: str
-    """One sentence for tables and reports: what the numbers of this profile are numbers of."""
+    about: str  # One sentence for tables and reports: what the numbers of this profile are numbers of.
     verdicts: Literal["none", "directions", "numbers"] = "none"
     """What the report judges: nothing, the direction of the paper's claims, or its numbers as well."""
     seeds: list[Annotated[int, Field(ge=0)]] = Field([0], min_length=1)

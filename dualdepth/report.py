@@ -18,13 +18,10 @@ from dualdepth.tables.claims import NOT_RUN, TOLERANCE, compare_numbers, judge_c
 from dualdepth.tables.rows import readable
 
 _WORDS = yaml.safe_load((PACKAGE / "report.yaml").read_text(encoding="utf-8"))
-TITLES: dict[str, str] = _WORDS["titles"]
-"""Titles of the tables, by name."""
-FIRST_LOOK = "side_by_side"
-"""The picture to look at first."""
+TITLES: dict[str, str] = _WORDS["titles"]  # Titles of the tables, by name.
+FIRST_LOOK = "side_by_side"  # The picture to look at first.
 CAPTIONS: dict[str, str] = _WORDS["captions"]
-RULES = {what: rule.replace("{tolerance}", f"{TOLERANCE:.0%}") for what, rule in _WORDS["rules"].items()}
-"""How verdicts are given."""
+RULES = {what: rule.replace("{tolerance}", f"{TOLERANCE:.0%}") for what, rule in _WORDS["rules"].items()}  # How verdicts are given.
 FIGURE_OF = {"make3d": "make3d", "odometry_trajectories": "odometry", "odometry_motions": "odometry", "sa_region": "sa_region"}
 """Figures that are of one table, and left from an earlier run where that was not run."""
 
@@ -33,19 +30,13 @@ class Report(NamedTuple):
     """What the page shows."""
 
     run: Run
-    headline: str
-    """What was learned, in a sentence."""
-    caution: str
-    """What the numbers are not; empty for the paper's profile."""
-    claims: pd.DataFrame
-    """`judge_claims`; without the column `verdict` where nothing is judged."""
-    numbers: pd.DataFrame
-    """`compare_numbers`."""
+    headline: str  # What was learned, in a sentence.
+    caution: str  # What the numbers are not; empty for the paper's profile.
+    claims: pd.DataFrame  # `judge_claims`; without the column `verdict` where nothing is judged.
+    numbers: pd.DataFrame  # `compare_numbers`.
     tables: dict[str, pd.DataFrame]
-    more: dict[str, pd.DataFrame]
-    """Of odometry: whole trajectories by alignment, and PoseNet against the controls."""
-    stamps: pd.DataFrame
-    """Provenance of every table and figure."""
+    more: dict[str, pd.DataFrame]  # Of odometry: whole trajectories by alignment, and PoseNet against the controls.
+    stamps: pd.DataFrame  # Provenance of every table and figure.
     figures: dict[str, Path]
     assumptions: list[tuple[str, str, str]]
 

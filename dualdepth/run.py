@@ -29,8 +29,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-RECORD = "own.json"
-"""What data_scripts/own_camera.py writes beside a data set of an own camera: what it was made from."""
+RECORD = "own.json"  # What data_scripts/own_camera.py writes beside a data set of an own camera: what it was made from.
 ROOTS = {
     "kitti_root": "folder that holds 2011_09_26 and the other days; else what the profile needs is downloaded",
     "test_list": "frames to score instead of the profile's, in the field's format",
@@ -222,18 +221,13 @@ class Sources(NamedTuple):
     kitti_root: Path
     test_list: Path
     train_list: Path | None = None
-    train_drives: tuple[str, ...] = ()
-    """Training drives where the profile names none: those of the synthetic world."""
+    train_drives: tuple[str, ...] = ()  # Training drives where the profile names none: those of the synthetic world.
     static_frames: Path | None = None
     test_scenes: Path | None = None
-    odometry_root: Path | None = None
-    """Holds `sequences` and `poses`; None: no odometry here."""
-    make3d_root: Path | None = None
-    """Holds `Test134` and `Gridlaserdata`; None: no Make3D here."""
-    labels_root: Path | None = None
-    """Holds `<drive>/<frame>.png`, Cityscapes training ids of the scored frames; None: no labels here."""
-    allow_leak: bool = False
-    """Score even what was trained on; the results then say so."""
+    odometry_root: Path | None = None  # Holds `sequences` and `poses`; None: no odometry here.
+    make3d_root: Path | None = None  # Holds `Test134` and `Gridlaserdata`; None: no Make3D here.
+    labels_root: Path | None = None  # Holds `<drive>/<frame>.png`, Cityscapes training ids of the scored frames; None: no labels here.
+    allow_leak: bool = False  # Score even what was trained on; the results then say so.
 
     def save(self, run: "Run") -> None:
         """Write `work/<profile>/sources.json`."""

@@ -183,7 +183,8 @@ class Training(Settings):
     """Beyond the paper: in stage 2 HR-Net adds to LR-Net's logits and so begins with its depth; in the paper it begins from nothing."""
     beyond_paper_corridor_steps: int = Field(0, ge=0)
     """Beyond the paper: in so many first steps of stage 1 PoseNet learns alone, from frames that it takes for a level road between
-    walls (`stages.corridor`), the paper's PoseNet at a rate of 1e-3. Depth then begins with motions that turn; else it takes turns upon itself."""
+    walls (`stages.corridor`), the paper's PoseNet at a rate of 1e-3. Depth then begins with motions that turn; else it takes turns upon
+    itself."""
     beyond_paper_mirrored_motion: bool = False
     """Beyond the paper: PoseNet sees half of the samples mirrored, and the motion that it finds is mirrored back."""
     beyond_paper_pose_encoder: Literal["efficientnet_lite0", "mobilenet_v2", "resnet18", "resnet50"] | None = None

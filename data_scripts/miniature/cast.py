@@ -11,30 +11,23 @@ import numpy as np
 
 from data_scripts.miniature.solids import Prism, Quadric, Solid, Surface
 
-SKY, GROUND, FIRST = 0, 1, 2
-"""Indices of a hit; surfaces are numbered from `FIRST` in the order of `surfaces`."""
-NEAR = 0.2
-"""Boxes are cut at this camera-z (metres) before they are projected."""
+SKY, GROUND, FIRST = 0, 1, 2  # Indices of a hit; surfaces are numbered from `FIRST` in the order of `surfaces`.
+NEAR = 0.2  # Boxes are cut at this camera-z (metres) before they are projected.
 
 
 class Rays(NamedTuple):
     """A fan of rays from one point."""
 
-    pose: np.ndarray
-    """(4, 4) camera to world."""
-    x: np.ndarray
-    """(1, W) float32, rising."""
-    y: np.ndarray
-    """(H, 1), rising, or (H, W); float32."""
+    pose: np.ndarray  # (4, 4) camera to world.
+    x: np.ndarray  # (1, W) float32, rising.
+    y: np.ndarray  # (H, 1), rising, or (H, W); float32.
 
 
 class Hits(NamedTuple):
     """What the rays meet first."""
 
-    nearness: np.ndarray
-    """(H, W) float32, 1 / camera-z depth in 1/m; 0 in the sky."""
-    index: np.ndarray
-    """(H, W) uint16."""
+    nearness: np.ndarray  # (H, W) float32, 1 / camera-z depth in 1/m; 0 in the sky.
+    index: np.ndarray  # (H, W) uint16.
 
 
 def surfaces(shapes: list[Solid]) -> list[tuple[Solid, Surface]]:

@@ -13,13 +13,10 @@ from data_scripts.miniature.scene import Scene
 from data_scripts.miniature.shadows import SUN
 from data_scripts.miniature.solids import Quadric, Solid, Surface
 
-CHUNK = 16384
-"""Rays coloured at a time: they fit a core's cache, and OpenCV's lookups take at most 32,767."""
+CHUNK = 16384  # Rays coloured at a time: they fit a core's cache, and OpenCV's lookups take at most 32,767.
 HAZE = np.array([[0.74], [0.79], [0.85]], np.float32)
-HAZE_LENGTH = 700.0
-"""Metres over which haze hides 63 % of a colour."""
-AMBIENT, DIRECT = 0.6, 0.5
-"""Light from the sky, and from the sun at normal incidence."""
+HAZE_LENGTH = 700.0  # Metres over which haze hides 63 % of a colour.
+AMBIENT, DIRECT = 0.6, 0.5  # Light from the sky, and from the sun at normal incidence.
 
 
 def shade(scene: Scene, shapes: list[Solid], rays: Rays, hits: Hits) -> np.ndarray:

@@ -7,21 +7,17 @@ import numpy as np
 from data_scripts.miniature.scene import LANE
 from data_scripts.miniature.street import Plan, Street
 
-PERIOD = 0.1
-"""Seconds between frames, as KITTI's 10 Hz."""
+PERIOD = 0.1  # Seconds between frames, as KITTI's 10 Hz.
 CAMERA_HEIGHT = 1.65
-START = 3.0
-"""The drive begins at this street coordinate, metres."""
+START = 3.0  # The drive begins at this street coordinate, metres.
 
 
 class Drive(NamedTuple):
     """A recorded drive."""
 
     plan: Plan
-    poses: np.ndarray
-    """(N, 4, 4) camera to world."""
-    standing: np.ndarray
-    """(N,) bool: the camera stands where it stood a frame before or stands a frame later."""
+    poses: np.ndarray  # (N, 4, 4) camera to world.
+    standing: np.ndarray  # (N,) bool: the camera stands where it stood a frame before or stands a frame later.
 
     @property
     def times(self) -> np.ndarray:

@@ -10,13 +10,11 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.io import savemat
 
-DATE = "2019_10_27"
-"""The recording day of all drives; none of KITTI's, so that nobody takes one for the other."""
+DATE = "2019_10_27"  # The recording day of all drives; none of KITTI's, so that nobody takes one for the other.
 R_RECT = [9.999239e-01, 9.837760e-03, -7.445048e-03, -9.869795e-03, 9.999421e-01, -4.278459e-03, 7.402527e-03, 4.351614e-03, 9.999631e-01]
 LASER_R = [7.533745e-03, -9.999714e-01, -6.166020e-04, 1.480249e-02, 7.280733e-04, -9.998902e-01, 9.998621e-01, 7.523790e-03, 1.480755e-02]
 LASER_T = [-4.069766e-03, -7.631618e-02, -2.717806e-01]
-FARTHEST = 81.0
-"""Make3D's laser reports this distance where nothing is met, metres."""
+FARTHEST = 81.0  # Make3D's laser reports this distance where nothing is met, metres.
 
 
 def rigid(rotation: Sequence[float], translation: Sequence[float]) -> np.ndarray:
@@ -26,8 +24,7 @@ def rigid(rotation: Sequence[float], translation: Sequence[float]) -> np.ndarray
     return matrix
 
 
-LASER_TO_CAMERA = rigid(R_RECT, [0, 0, 0]) @ rigid(LASER_R, LASER_T)
-"""From the laser's frame to the rectified camera's."""
+LASER_TO_CAMERA = rigid(R_RECT, [0, 0, 0]) @ rigid(LASER_R, LASER_T)  # From the laser's frame to the rectified camera's.
 
 
 def intrinsics(size: tuple[int, int]) -> np.ndarray:

@@ -3,8 +3,7 @@
 import cv2
 import numpy as np
 
-SIDE = 512
-"""Texels of a tile."""
+SIDE = 512  # Texels of a tile.
 
 
 def _tile(seed: int, slope: float, finest: float) -> np.ndarray:
@@ -18,10 +17,8 @@ def _tile(seed: int, slope: float, finest: float) -> np.ndarray:
     return (tile / tile.std()).clip(-2.5, 2.5).astype(np.float32)
 
 
-GRAIN = _tile(11, 0.9, 2.5)
-"""Fine structure of all sizes: asphalt, plaster, grass, leaves."""
-BLOTCH = _tile(12, 1.7, 6.0)
-"""Smooth large-scale variation: stains, clouds, clumps."""
+GRAIN = _tile(11, 0.9, 2.5)  # Fine structure of all sizes: asphalt, plaster, grass, leaves.
+BLOTCH = _tile(12, 1.7, 6.0)  # Smooth large-scale variation: stains, clouds, clumps.
 
 
 def noise(tile: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -12,8 +12,7 @@ from data_scripts.miniature.render import Shot
 from data_scripts.miniature.street import Plan, build_street
 from dualdepth.settings import World
 
-RAW, ODOMETRY, MAKE3D = range(3)
-"""Kinds of streets: part of their seeds, so that no two share a street."""
+RAW, ODOMETRY, MAKE3D = range(3)  # Kinds of streets: part of their seeds, so that no two share a street.
 FIRST_TEST_DRIVE = 101
 FIRST_TEST_SEQUENCE = 9
 BEND, ODOMETRY_BEND = (0.45, 180.0), (0.85, 210.0)
@@ -29,8 +28,7 @@ class Work:
     world: World
     root: Path
     shots: list[Shot] = field(default_factory=list)
-    texts: dict[str, str] = field(default_factory=dict)
-    """Content by path below `root`."""
+    texts: dict[str, str] = field(default_factory=dict)  # Content by path below `root`.
     lists: dict[str, list[str]] = field(default_factory=lambda: collections.defaultdict(list))
     """Lines by the names of the lists in `lists/`, in the field's formats."""
 

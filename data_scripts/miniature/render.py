@@ -20,27 +20,20 @@ from data_scripts.miniature.street import Plan
 
 BEAMS = np.radians(np.concatenate([2 - np.arange(32) / 3, -8.83 - np.arange(32) * (24.8 - 8.83) / 31]))
 """Elevations of a 64-beam scanner as KITTI's: two blocks from +2 to -24.8 degrees."""
-AZIMUTH_REACH = 50.0
-"""Only the part of the scan in front is cast, to both sides in degrees; the cameras see 41."""
+AZIMUTH_REACH = 50.0  # Only the part of the scan in front is cast, to both sides in degrees; the cameras see 41.
 LASER_RANGE = 120.0
-NOISE, LOSS = 0.01, 0.04
-"""Deviation of the measured distance in metres, and share of returns that are lost."""
-GRID = (55, 305)
-"""Rows and columns of Make3D's laser grids, evenly over the whole photo."""
+NOISE, LOSS = 0.01, 0.04  # Deviation of the measured distance in metres, and share of returns that are lost.
+GRID = (55, 305)  # Rows and columns of Make3D's laser grids, evenly over the whole photo.
 JPEG_QUALITY = 92
 
 
 class View(NamedTuple):
     """One rendered frame of (H, W) pixels."""
 
-    image: np.ndarray
-    """(H, W, 3) uint8 RGB, the mean over `supersample`² rays a pixel."""
-    depth: np.ndarray
-    """(H, W) float32, exact camera-z depth at the pixels' centres in metres; 0 in the sky."""
-    labels: np.ndarray
-    """(H, W) uint8, Cityscapes' training ids at the pixels' centres."""
-    moving: np.ndarray
-    """(H, W) bool, at the pixels' centres."""
+    image: np.ndarray  # (H, W, 3) uint8 RGB, the mean over `supersample`² rays a pixel.
+    depth: np.ndarray  # (H, W) float32, exact camera-z depth at the pixels' centres in metres; 0 in the sky.
+    labels: np.ndarray  # (H, W) uint8, Cityscapes' training ids at the pixels' centres.
+    moving: np.ndarray  # (H, W) bool, at the pixels' centres.
 
 
 def camera_rays(pose: np.ndarray, intrinsics: np.ndarray, size: tuple[int, int], supersample: int = 1) -> Rays:
@@ -134,23 +127,17 @@ class Shot(NamedTuple):
     """One moment, and the files to write of it; those that are None are not made."""
 
     plan: Plan
-    pose: np.ndarray
-    """(4, 4) camera to world."""
-    time: float
-    """Seconds."""
+    pose: np.ndarray  # (4, 4) camera to world.
+    time: float  # Seconds.
     intrinsics: np.ndarray
     size: tuple[int, int]
     supersample: int
-    image: Path
-    """`.png` or `.jpg`."""
-    depth: Path | None = None
-    """`.npy`, exact camera-z depth in metres, 0 in the sky."""
+    image: Path  # `.png` or `.jpg`.
+    depth: Path | None = None  # `.npy`, exact camera-z depth in metres, 0 in the sky.
     labels: Path | None = None
-    scan: Path | None = None
-    """`.bin`, the laser's points."""
+    scan: Path | None = None  # `.bin`, the laser's points.
     azimuth_step: float = 0.35
-    grid: Path | None = None
-    """`.mat`, Make3D's laser grid."""
+    grid: Path | None = None  # `.mat`, Make3D's laser grid.
 
 
 _scene = lru_cache(maxsize=2)(build_scene)

@@ -10,8 +10,7 @@ from data_scripts.miniature.shadows import Shadows, cast_shadows
 from data_scripts.miniature.solids import Prism, Quadric, Solid
 from data_scripts.miniature.street import Place, Plan, Street, build_street
 
-LANE = 1.9
-"""The middle of the right-hand lane, metres right of the centre line."""
+LANE = 1.9  # The middle of the right-hand lane, metres right of the centre line.
 PAINTS = [
     (0.75, 0.76, 0.78),
     (0.1, 0.1, 0.11),
@@ -38,8 +37,7 @@ class Mover(NamedTuple):
     """A car that drives along the road: at street coordinates `start` + `speed`·time, `d`."""
 
     start: float
-    speed: float
-    """Metres per second along `s`; negative ones come towards the camera."""
+    speed: float  # Metres per second along `s`; negative ones come towards the camera.
     d: float
     paint: tuple[float, float, float]
     seed: float
@@ -50,8 +48,7 @@ class Scene:
     """One street with everything in it; `shapes(time)` gives the solids at a moment."""
 
     street: Street
-    seed: float
-    """0..1; moves the textures of ground and sky."""
+    seed: float  # 0..1; moves the textures of ground and sky.
     prisms: list[Prism] = field(default_factory=list)
     quadrics: list[Quadric] = field(default_factory=list)
     movers: list[Mover] = field(default_factory=list)

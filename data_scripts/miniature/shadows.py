@@ -11,18 +11,15 @@ from data_scripts.miniature.street import Street
 SUN = np.array([0.55, -0.75, -0.36]) / np.linalg.norm([0.55, -0.75, -0.36])
 """Direction to the sun in the world frame (y is down): behind the camera, to its right."""
 CELL = 0.15
-REACH = 45.0
-"""Half width, in metres, of the ground that gets shadows, around the centre line's box."""
+REACH = 45.0  # Half width, in metres, of the ground that gets shadows, around the centre line's box.
 
 
 @dataclass(frozen=True)
 class Shadows:
     """A map over the ground."""
 
-    corner: np.ndarray
-    """(2,) x, z of the first cell."""
-    sunlight: np.ndarray
-    """(rows z, columns x) float32, 1 in the sun, less in shadow."""
+    corner: np.ndarray  # (2,) x, z of the first cell.
+    sunlight: np.ndarray  # (rows z, columns x) float32, 1 in the sun, less in shadow.
 
     def at(self, x: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Sunlight at ground points, (N,) float32; outside of the map it shines everywhere."""

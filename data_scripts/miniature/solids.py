@@ -17,33 +17,25 @@ ROAD, SIDEWALK, BUILDING, FENCE, POLE, SIGN, VEGETATION, TERRAIN, SKY, CAR = 0, 
 class Surface(NamedTuple):
     """What one face looks like; its texture coordinates are metres along `along` and `up` from `origin`."""
 
-    material: str
-    """Name of a pattern in `colours.py`."""
+    material: str  # Name of a pattern in `colours.py`.
     label: int
-    colour: tuple[float, float, float]
-    """RGB in 0..1."""
-    seed: float
-    """0..1; moves and varies the texture."""
+    colour: tuple[float, float, float]  # RGB in 0..1.
+    seed: float  # 0..1; moves and varies the texture.
     normal: np.ndarray
     origin: np.ndarray
     along: np.ndarray
     up: np.ndarray
-    extent: tuple[float, float]
-    """Width and height of the face, metres; the origin is at the middle of the lower edge."""
+    extent: tuple[float, float]  # Width and height of the face, metres; the origin is at the middle of the lower edge.
     moving: bool = False
 
 
 class Prism(NamedTuple):
     """The points x with normals · x <= offsets."""
 
-    normals: np.ndarray
-    """(F, 3), outward."""
-    offsets: np.ndarray
-    """(F,)"""
-    corners: np.ndarray
-    """(8, 3), of a box around it."""
-    surfaces: list[Surface]
-    """One a face."""
+    normals: np.ndarray  # (F, 3), outward.
+    offsets: np.ndarray  # (F,)
+    corners: np.ndarray  # (8, 3), of a box around it.
+    surfaces: list[Surface]  # One a face.
 
 
 class Quadric(NamedTuple):
@@ -52,10 +44,8 @@ class Quadric(NamedTuple):
     centre: np.ndarray
     radii: np.ndarray
     top: float
-    corners: np.ndarray
-    """(8, 3), of a box around it."""
-    surfaces: list[Surface]
-    """The one that it has."""
+    corners: np.ndarray  # (8, 3), of a box around it.
+    surfaces: list[Surface]  # The one that it has.
 
 
 Solid = Prism | Quadric

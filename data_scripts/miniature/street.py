@@ -12,58 +12,40 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-STEP = 0.25
-"""Distance of neighbouring points of the centre line."""
-BEHIND = 40.0
-"""The road begins this far before s = 0."""
-CELL = 0.5
-"""Grid of the map from world to street coordinates; both are smooth, so bilinear interpolation is good to millimetres."""
-MARGIN = 60.0
-"""The map reaches this far beyond the centre line; points outside take the nearest cell's values."""
-AHEAD = 190.0
-"""A street goes on this far after its last camera."""
+STEP = 0.25  # Distance of neighbouring points of the centre line.
+BEHIND = 40.0  # The road begins this far before s = 0.
+CELL = 0.5  # Grid of the map from world to street coordinates; both are smooth, so bilinear interpolation is good to millimetres.
+MARGIN = 60.0  # The map reaches this far beyond the centre line; points outside take the nearest cell's values.
+AHEAD = 190.0  # A street goes on this far after its last camera.
 
 
 class Plan(NamedTuple):
     """What a street and all that stands on it follow from."""
 
-    seed: tuple[int, ...]
-    """Any integers."""
-    length: float
-    """How far along the road the camera goes, metres."""
-    bend: float = 0.25
-    """Largest heading of the road away from straight ahead, radians; at most about 1.2."""
-    wavelength: float = 260.0
-    """Length of a full left-right bend, metres."""
-    movers: int = 2
-    """Moving cars; the first, third, ... come towards the camera, the others drive ahead of it."""
-    pace: float = 10.5
-    """The camera's mean speed in m/s; those ahead of it are faster, so that it runs into none."""
+    seed: tuple[int, ...]  # Any integers.
+    length: float  # How far along the road the camera goes, metres.
+    bend: float = 0.25  # Largest heading of the road away from straight ahead, radians; at most about 1.2.
+    wavelength: float = 260.0  # Length of a full left-right bend, metres.
+    movers: int = 2  # Moving cars; the first, third, ... come towards the camera, the others drive ahead of it.
+    pace: float = 10.5  # The camera's mean speed in m/s; those ahead of it are faster, so that it runs into none.
 
 
 class Place(NamedTuple):
     """Where something stands on the ground."""
 
-    point: np.ndarray
-    """(…, 2) x, z."""
-    heading: float | np.ndarray
-    """(…)"""
+    point: np.ndarray  # (…, 2) x, z.
+    heading: float | np.ndarray  # (…)
 
 
 @dataclass(frozen=True)
 class Street:
     """Centre line and its lookup grid, made by `build_street`."""
 
-    s: np.ndarray
-    """(N,) path length."""
-    points: np.ndarray
-    """(N, 2) x, z."""
-    heading: np.ndarray
-    """(N,)."""
-    corner: np.ndarray
-    """(2,) x, z of the map's first cell centre."""
-    grid: np.ndarray
-    """(rows z, columns x, 2) float32: s, d."""
+    s: np.ndarray  # (N,) path length.
+    points: np.ndarray  # (N, 2) x, z.
+    heading: np.ndarray  # (N,).
+    corner: np.ndarray  # (2,) x, z of the map's first cell centre.
+    grid: np.ndarray  # (rows z, columns x, 2) float32: s, d.
 
     def place(self, s: float | np.ndarray, d: float | np.ndarray, turn: float = 0.0) -> Place:
         """World position at street coordinates `s`, `d`, and the road's heading there, turned to the right by `turn`."""

@@ -14,8 +14,7 @@ from dualdepth.errors import InputError, reading
 
 FIELD = (20.0, 150.0)
 """Horizontal fields of view, in degrees, that are believed: below is a telephoto lens, above a fisheye that no pinhole fits."""
-BOARDS, MOST_BOARDS = 8, 60
-"""Views of the chessboard, at least and at most: more take minutes and change nothing."""
+BOARDS, MOST_BOARDS = 8, 60  # Views of the chessboard, at least and at most: more take minutes and change nothing.
 REPROJECTION = 1.0
 """Root mean square error of the chessboard's corners in pixels, at most; in frames wider than 1000 pixels a thousandth of the width."""
 KEYS = ("P_rect_02", "P2", "P_rect_00", "P0")  # of KITTI's calibration files, in order of preference

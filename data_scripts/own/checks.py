@@ -14,8 +14,7 @@ from tqdm import tqdm
 
 from dualdepth.data.frames import Footage
 
-FEWEST, FEWEST_USED = 30, 20
-"""Frames, at least, and of these in drives: what is learned from fewer is those frames."""
+FEWEST, FEWEST_USED = 30, 20  # Frames, at least, and of these in drives: what is learned from fewer is those frames.
 MOST_STRIDE = 30
 MOST_CUTS = 0.2  # share of neighbours that may not show the same place
 HELD_OUT = 0.1  # share of the frames that is kept for pictures, from the end
@@ -29,10 +28,8 @@ AIM = 0.012  # median flow that a stride is chosen for: KITTI's at 10 Hz
 SAME_PLACE = 0.3
 """Share of pixels whose flow forth and back agrees, below which two frames are no neighbours: KITTI's have at least 0.5, frames that do
 not belong together at most 0.27."""
-CLOSE = 0.45
-"""The same of a data set's median pair, at least: KITTI has 0.8, every second frame of it 0.6, every fourth 0.35 to 0.43."""
-TRAVELS = 0.15
-"""Share of the median flow that no turn of the camera explains, at least: KITTI has 0.8, a camera that only turns 0.04."""
+CLOSE = 0.45  # The same of a data set's median pair, at least: KITTI has 0.8, every second frame of it 0.6, every fourth 0.35 to 0.43.
+TRAVELS = 0.15  # Share of the median flow that no turn of the camera explains, at least: KITTI has 0.8, a camera that only turns 0.04.
 LINKS = {"moving": "moves", "still": "still", "cuts": "cut", "gaps": "gap"}
 """Names of the counts of pairs of neighbours, and the links that they count."""
 

@@ -25,8 +25,7 @@ from dualdepth.files import write_text
 from dualdepth.profile import PROFILES
 from dualdepth.run import RECORD
 
-DATE = "2000_01_01"
-"""Stands where KITTI has the day of the recording; no day of KITTI's, so that its drives are never taken for KITTI's."""
+DATE = "2000_01_01"  # Stands where KITTI has the day of the recording; no day of KITTI's, so that its drives are never taken for KITTI's.
 JPEG_QUALITY = 95
 PIXELS = 384 * 1248  # of HR-Net's input, at most: the paper's
 STEPS = {"lr": 1200, "hr": 400}  # of 4, that the written profile asks for, about: those of profile `sample`

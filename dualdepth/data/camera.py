@@ -13,12 +13,9 @@ class Camera(NamedTuple):
     fy: float
     cx: float
     cy: float
-    size: tuple[int, int]
-    """(height, width) of the frames."""
-    origin: str
-    """Where the numbers are from."""
-    distortion: tuple[float, ...] = ()
-    """OpenCV's k1, k2, p1, p2, k3; empty: none."""
+    size: tuple[int, int]  # (height, width) of the frames.
+    origin: str  # Where the numbers are from.
+    distortion: tuple[float, ...] = ()  # OpenCV's k1, k2, p1, p2, k3; empty: none.
 
     @property
     def matrix(self) -> np.ndarray:

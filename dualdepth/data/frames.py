@@ -17,8 +17,7 @@ from dualdepth.files import file_digest, short_digest
 
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # else FFmpeg tells of a damaged file in its own words as well
-DEFAULT_RATE = 25.0
-"""Frames a second where the file does not say."""
+DEFAULT_RATE = 25.0  # Frames a second where the file does not say.
 
 
 def resample(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:

@@ -15,8 +15,7 @@ CITYSCAPES = (
     *("sky", "person", "rider", "car", "truck", "bus", "train", "motorcycle", "bicycle"),
 )
 """Names of the training ids 0 … 18."""
-IGNORE = 255
-"""What has none of these classes."""
+IGNORE = 255  # What has none of these classes.
 check_labels_root = functools.partial(
     check_root, option="LABELS_ROOT", pattern="*/*.png", mend="make <drive>/<frame>.png with python data_scripts/export_labels.py"
 )

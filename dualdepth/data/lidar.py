@@ -14,8 +14,7 @@ import PIL.Image
 from dualdepth.data.kitti import AGAIN, Frame, calibration_entry, image_path, read_calibration, velodyne_path, whole_image
 from dualdepth.errors import InputError, reading
 
-LARGEST_SIDE = 20_000
-"""Pixels of an image's side that a calibration may announce."""
+LARGEST_SIDE = 20_000  # Pixels of an image's side that a calibration may announce.
 
 
 def read_scan(path: str | Path) -> np.ndarray:

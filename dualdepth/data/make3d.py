@@ -18,13 +18,11 @@ from dualdepth.errors import InputError, reading
 PHOTO_FOLDERS = ("Test134", "Test134Img")
 GRID_FOLDERS = ("Gridlaserdata", "Test134Depth", "Test134Depth/Gridlaserdata")
 """Names that the field's code has for the two folders; the first one is the archives'."""
-PHOTO, GRID = ("img-", ".jpg"), ("depth_sph_corr-", ".mat")
-"""What stands before and after a photo's and a grid's name."""
+PHOTO, GRID = ("img-", ".jpg"), ("depth_sph_corr-", ".mat")  # What stands before and after a photo's and a grid's name.
 GRID_KEY, GRID_SHAPE = "Position3DGrid", (55, 305)
 END_OF_JPEG = b"\xff\xd9"
 MAKE3D_PHOTOS = 134
-LEAST_LEFT = 0.5
-"""Share of a truncated photo's rows that must be there."""
+LEAST_LEFT = 0.5  # Share of a truncated photo's rows that must be there.
 
 
 class PhotoGrid(NamedTuple):

@@ -30,8 +30,7 @@ RAW_DRIVES = {
     "10": "2011_09_30/2011_09_30_drive_0034_sync",
 }
 """The raw drive that each sequence was cut from (KITTI's odometry development kit)."""
-CAMERA = "image_2"
-"""The left colour camera, as in the paper."""
+CAMERA = "image_2"  # The left colour camera, as in the paper.
 check_odometry_root = functools.partial(
     check_root, option="ODOMETRY_ROOT", pattern="sequences/[0-9][0-9]", mend="give the folder that holds `sequences` and `poses`"
 )
@@ -117,21 +116,16 @@ def odometry_triplets(root: str | Path, sequences: Sequence[str], broken: Collec
 
 
 FORMAT = "a KITTI pose file holds the 12 numbers of the 3x4 matrix [R|t] in a line, or 13 with the frame's number first"
-TOLERANCE = 1e-3
-"""How far R Rᵀ may be from the identity: six decimals and products of many float32 rotations pass."""
-LIMIT = 1e9
-"""Numbers from here on cannot be positions, whatever the unit, and would overflow later."""
+TOLERANCE = 1e-3  # How far R Rᵀ may be from the identity: six decimals and products of many float32 rotations pass.
+LIMIT = 1e9  # Numbers from here on cannot be positions, whatever the unit, and would overflow later.
 
 
 class Trajectory(NamedTuple):
     """Camera poses of a sequence."""
 
-    frames: np.ndarray
-    """(N,) frame numbers, strictly increasing; those of a file without them are 0, 1, 2, …"""
-    poses: np.ndarray
-    """(N, 4, 4) float64, camera to world, metres."""
-    indexed: bool
-    """Whether the file gave the frame numbers."""
+    frames: np.ndarray  # (N,) frame numbers, strictly increasing; those of a file without them are 0, 1, 2, …
+    poses: np.ndarray  # (N, 4, 4) float64, camera to world, metres.
+    indexed: bool  # Whether the file gave the frame numbers.
 
 
 def read_trajectory(path: str | Path) -> Trajectory:

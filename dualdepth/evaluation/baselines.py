@@ -11,8 +11,7 @@ import numpy as np
 
 from dualdepth.errors import InputError
 
-GRID = (47, 156)
-"""Cells of about 8 × 8 KITTI pixels: sparse scans of few frames fill them; from 4 to 32 pixels the scores hardly change."""
+GRID = (47, 156)  # Cells of about 8 × 8 KITTI pixels: sparse scans of few frames fill them; from 4 to 32 pixels the scores hardly change.
 
 
 def depth_sums(maps: Iterable[np.ndarray], *, grid: tuple[int, int] = GRID, max_depth: float) -> np.ndarray:

@@ -33,17 +33,13 @@ class Protocol:
         InputError: an unknown choice, or depths that are not 0 < min_depth < max_depth.
     """
 
-    kind: Literal["depth", "disparity"] = "depth"
-    """What the predictions are; disparity is inverse depth, of any scale."""
+    kind: Literal["depth", "disparity"] = "depth"  # What the predictions are; disparity is inverse depth, of any scale.
     resize: Literal["depth", "disparity"] = "depth"
     """What is resized bilinearly to the ground truth's size: SfMLearner and GeoNet depth, monodepth2 disparity."""
     crop: Literal["garg", "eigen", "none"] = "garg"
-    min_depth: float = 1e-3
-    """Metres; ground truth must be strictly above, predictions are clamped to it."""
-    max_depth: float = 80.0
-    """Metres; ground truth must be strictly below, predictions are clamped to it."""
-    median_scaling: bool = True
-    """Multiply each prediction by median(ground truth) / median(prediction) over the valid pixels."""
+    min_depth: float = 1e-3  # Metres; ground truth must be strictly above, predictions are clamped to it.
+    max_depth: float = 80.0  # Metres; ground truth must be strictly below, predictions are clamped to it.
+    median_scaling: bool = True  # Multiply each prediction by median(ground truth) / median(prediction) over the valid pixels.
     valid: Literal["range", "positive"] = "range"
     """Pixels that count: ground truth strictly between the depths, or all above 0 (for the improved ground truth)."""
 

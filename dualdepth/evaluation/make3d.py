@@ -23,12 +23,9 @@ from dualdepth.evaluation.depth import errors, evaluate
 CONVENTIONS = ("band", "whole")
 METRICS = ("abs_rel", "sq_rel", "rmse", "log10_rms", "log10")
 """`log10_rms` is the root mean square of log10 differences, which papers on self-supervision call log10; `log10` is C1's mean absolute."""
-ROWS = slice(17, 38)
-"""Rows of the laser grid that are scored."""
-FARTHEST = 70.0
-"""Metres: the ground truth must be strictly below, predictions are clamped to it from above (C1)."""
-NEAREST = float(np.finfo(np.float64).tiny)
-"""C1 has no bound below: the ground truth must be above 0."""
+ROWS = slice(17, 38)  # Rows of the laser grid that are scored.
+FARTHEST = 70.0  # Metres: the ground truth must be strictly below, predictions are clamped to it from above (C1).
+NEAREST = float(np.finfo(np.float64).tiny)  # C1 has no bound below: the ground truth must be above 0.
 
 
 def visible(photo: np.ndarray, convention: str) -> np.ndarray:

@@ -14,10 +14,8 @@ from dualdepth.errors import InputError
 
 ALIGNMENTS = ("7dof", "none", "scale", "6dof", "scale_7dof")
 """How a prediction is laid on the ground truth; the first is for monocular methods, which know no scale."""
-SEGMENTS = (100, 200, 300, 400, 500, 600, 700, 800)
-"""Metres of path that a segment must exceed."""
-STEP = 10
-"""Segments start at every tenth pose of the ground truth."""
+SEGMENTS = (100, 200, 300, 400, 500, 600, 700, 800)  # Metres of path that a segment must exceed.
+STEP = 10  # Segments start at every tenth pose of the ground truth.
 
 
 def relative(poses: np.ndarray) -> np.ndarray:

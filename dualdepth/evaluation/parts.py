@@ -7,13 +7,11 @@ import numpy as np
 from dualdepth.errors import InputError
 from dualdepth.evaluation.depth import Parts, Pixels, errors
 
-FAR = 20.0
-"""Metres: pixels whose ground truth is more than this are distant (paper)."""
+FAR = 20.0  # Metres: pixels whose ground truth is more than this are distant (paper).
 PARTS = ("<= 20 m", "> 20 m")
 REGIONS = {"Road": (0,), "Tree & grass": (8, 9)}
 """Cityscapes training ids of the paper's regions: with little texture, and with much (docs/protocols.md, "Regions of SA-Attention")."""
-POLE = 5
-"""Cityscapes' training id of poles (docs/protocols.md, "Sharpness")."""
+POLE = 5  # Cityscapes' training id of poles (docs/protocols.md, "Sharpness").
 
 
 def near_and_far(_: int, pixels: Pixels) -> dict[str, np.ndarray]:

@@ -16,10 +16,8 @@ from dualdepth.files import atomic_path, check_writable
 from dualdepth.geometry import to_unit
 from dualdepth.model import UNIT, DepthModel, load, tensor_of
 
-IMAGE, DISPARITY = "image", "disparity"
-"""Names of the graph's input and output."""
-OPSET = 20
-"""The operators' version: what torch's exporter writes of itself, without converting."""
+IMAGE, DISPARITY = "image", "disparity"  # Names of the graph's input and output.
+OPSET = 20  # The operators' version: what torch's exporter writes of itself, without converting.
 TOLERANCE = 1e-3
 """Largest |ONNX − PyTorch| / PyTorch of a disparity, both in float32. ONNX Runtime's sigmoid is right to 1.7e-7, which is 1.4e-4 of the
 smallest disparities; the rest is for sums in another order. A thousandth is below what any table shows."""

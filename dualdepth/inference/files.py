@@ -32,12 +32,9 @@ VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wm
 STAMP = "predictions.json"
 """In the folder of results: the options that shaped them and since when (ns) these are the same; and, by the name of its results, each
 input's path, its own time (ns) and since when it has that. An input replaced by an older file so counts as changed."""
-LONGEST = 120
-"""Bytes of a result's name before its ending; file systems allow 255, and a temporary name is longer."""
-GPU_BATCH = 16
-"""Images at a time on a GPU, halved until they fit; on a CPU one at a time is as fast as several."""
-WORKERS = min(8, os.cpu_count() or 1)
-"""Threads that read, draw and write."""
+LONGEST = 120  # Bytes of a result's name before its ending; file systems allow 255, and a temporary name is longer.
+GPU_BATCH = 16  # Images at a time on a GPU, halved until they fit; on a CPU one at a time is as fast as several.
+WORKERS = min(8, os.cpu_count() or 1)  # Threads that read, draw and write.
 
 
 def predict_files(
@@ -117,10 +114,8 @@ class Task(NamedTuple):
     """One input and what is to be made of it."""
 
     path: Path
-    name: str
-    """Of its results."""
-    kinds: tuple[str, ...] = ()
-    """Kinds of results still to be written; empty if all exist."""
+    name: str  # Of its results.
+    kinds: tuple[str, ...] = ()  # Kinds of results still to be written; empty if all exist.
 
     @property
     def video(self) -> bool:
@@ -198,8 +193,7 @@ class Predictor:
     out: Path
     style: Style
     batch_size: int
-    made: int = 0
-    """Inputs whose results were written."""
+    made: int = 0  # Inputs whose results were written.
     broken: list[Path] = field(default_factory=list)
     """Inputs that could not be read, or not to their end; they are named on stderr and left out."""
 

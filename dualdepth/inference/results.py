@@ -17,12 +17,9 @@ from dualdepth.files import atomic_path
 SUFFIXES = {"colour": ".colour.png", "depth": ".depth.png", "side": ".side.png", "npy": ".depth.npy", "ply": ".ply"}
 """Endings of an image's results, by kind."""
 SIDE_VIDEO = ".side.mp4"
-PNG_FACTOR = 256
-"""A PNG's value / 256 is the depth, as in KITTI's depth maps."""
-CODEC = "mp4v"
-"""MPEG-4 in MP4, which every OpenCV wheel writes."""
-WIDEST = 3840
-"""Pixels; wider side-by-side frames are shrunk, since players refuse them."""
+PNG_FACTOR = 256  # A PNG's value / 256 is the depth, as in KITTI's depth maps.
+CODEC = "mp4v"  # MPEG-4 in MP4, which every OpenCV wheel writes.
+WIDEST = 3840  # Pixels; wider side-by-side frames are shrunk, since players refuse them.
 KITTI_FIELD_OF_VIEW = 2 * math.degrees(math.atan(1242 / 2 / 721.5377))
 """Degrees, horizontal, of KITTI's colour cameras (81.4); the default, since profiles `sample` and `paper` learn from such images."""
 TICKS, WIDEST_LABEL, SMALLEST = 5, "1.23e+45", 120
@@ -33,16 +30,12 @@ GROUND, INK = (24, 24, 24), (235, 235, 235)
 class Style(NamedTuple):
     """What results say, and the camera that point clouds assume: the first of its three settings that is not None counts."""
 
-    about: str
-    """What the network learned from."""
-    scale: float = 1.0
-    """What relative depth is multiplied by."""
+    about: str  # What the network learned from.
+    scale: float = 1.0  # What relative depth is multiplied by.
     intrinsics: tuple[float, float, float, float] | None = None
     """fx, fy, cx, cy in pixels of the image; pixel (0, 0) is the centre of the first pixel."""
-    focal: float | None = None
-    """fx = fy in pixels of the image, with the principal point in its middle."""
-    field_of_view: float | None = None
-    """Degrees, horizontal; None: KITTI's."""
+    focal: float | None = None  # fx = fy in pixels of the image, with the principal point in its middle.
+    field_of_view: float | None = None  # Degrees, horizontal; None: KITTI's.
 
     def camera(self, size: tuple[int, int]) -> Camera:
         """The camera of an image of `size` (height, width)."""

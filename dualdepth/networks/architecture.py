@@ -25,19 +25,15 @@ class Design(BaseModel):
     link: Link = "attention"
     """What a dual network's HR-Net receives: SA-Attention's features, its embedding without the mixing, or LR-Net's deepest map as it is
     ("w/o SA")."""
-    similarity: Similarity = "dot"
-    """Of SA-Attention."""
-    normalise: Normalise = "none"
-    """Of SA-Attention."""
+    similarity: Similarity = "dot"  # Of SA-Attention.
+    normalise: Normalise = "none"  # Of SA-Attention.
 
 
 class Architecture(Design):
     """A depth network; `build()` makes it, `model_dump()` is what a card says."""
 
-    encoder: str = "resnet50"
-    """See `make_encoder`; of no meaning for `hr`."""
-    residual: bool = False
-    """Beyond the paper: a dual network's HR-Net adds to LR-Net's logits; of no meaning for others."""
+    encoder: str = "resnet50"  # See `make_encoder`; of no meaning for `hr`.
+    residual: bool = False  # Beyond the paper: a dual network's HR-Net adds to LR-Net's logits; of no meaning for others.
 
     @property
     def sees_low_resolution(self) -> bool:

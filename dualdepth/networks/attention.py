@@ -7,8 +7,7 @@ from torch.nn import functional as F
 from dualdepth.networks import Normalise, Similarity
 from dualdepth.networks.decoder import in_float32
 
-WIDTH = 128
-"""Channels of the embedding f′; fitted to the paper's overhead table."""
+WIDTH = 128  # Channels of the embedding f′; fitted to the paper's overhead table.
 STARTING_RMS = 0.8
 """Root mean square of f″ before the first step, that of the HR-Net features beside it. The literal form is cubic in f′, and with the usual
 first weights it starts up to a hundred times larger, by the encoder and its weights. An assumption; the paper is silent."""

@@ -11,14 +11,12 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-WIDTHS = (256, 128, 64, 32, 16)
-"""Channels from stride 16 to stride 1."""
+WIDTHS = (256, 128, 64, 32, 16)  # Channels from stride 16 to stride 1.
 MAX_NECK = 512
 START_LOGIT = -5.0
 """Of every pixel before the first step, disparity 0.077: there is room for 130 times as much, and for depth eight times as far. Losses see
 only ratios, so the mean stays there. From the middle of the sigmoid nothing can be more than twice as near as the mean."""
-DISPARITY_SCALE, DISPARITY_OFFSET = 10.0, 0.01
-"""Disparity = 10 · sigmoid + 0.01 (SfMLearner), so that it lies in (0.01, 10.01)."""
+DISPARITY_SCALE, DISPARITY_OFFSET = 10.0, 0.01  # Disparity = 10 · sigmoid + 0.01 (SfMLearner), so that it lies in (0.01, 10.01).
 
 
 class DepthOutput(NamedTuple):

@@ -64,8 +64,7 @@ class MobileNetV2Encoder(Encoder):
     """MobileNetV2 up to its last block, without the final 320 → 1280 layer (Sandler et al. 2018)."""
 
     channels = (16, 24, 32, 96, 320)
-    last_layers = (1, 4, 11, 15)
-    """Index of the block that ends strides 4, 8, 16, 32."""
+    last_layers = (1, 4, 11, 15)  # Index of the block that ends strides 4, 8, 16, 32.
 
     def __init__(self, pretrained: bool | str = False) -> None:
         from transformers import MobileNetV2Config, MobileNetV2Model
@@ -114,8 +113,7 @@ class EfficientNetLite0Encoder(Encoder):
         (6, 320, 1, 1, 3),
     )
     """Expansion, width, blocks, stride of the first block, kernel."""
-    last_blocks = (0, 2, 4, 10, 15)
-    """Index of the block that ends strides 2, 4, 8, 16, 32."""
+    last_blocks = (0, 2, 4, 10, 15)  # Index of the block that ends strides 2, 4, 8, 16, 32.
 
     def __init__(self, pretrained: bool | str = False) -> None:
         super().__init__(mean=[127 / 255] * 3, std=[128 / 255] * 3)

@@ -10,10 +10,8 @@ from dualdepth.evaluation.statistics import Comparison, t_interval
 from dualdepth.paper import DEPTH
 
 REPRODUCED, WITHIN_NOISE, NOT_REPRODUCED, NOT_RUN = "reproduced", "within noise", "not reproduced", "not run"
-HIGHER_IS_BETTER = ("a1", "a2", "a3", "f1", "lateral_f1")
-"""Of all metrics that are compared; of the others lower is better."""
-TOLERANCE = 0.02
-"""Share of the paper's number within which ours counts as the same; half of the last printed digit counts, too."""
+HIGHER_IS_BETTER = ("a1", "a2", "a3", "f1", "lateral_f1")  # Of all metrics that are compared; of the others lower is better.
+TOLERANCE = 0.02  # Share of the paper's number within which ours counts as the same; half of the last printed digit counts, too.
 
 
 class Verdict(NamedTuple):
@@ -57,21 +55,15 @@ class Claim(NamedTuple):
     """A claim: `a` is better than `b` by a row of a table of comparisons (`rows.COMPARISON`)."""
 
     text: str
-    table: str
-    """Whose comparisons tell: `<table>_claims.csv` in `results/<profile>/tables`."""
+    table: str  # Whose comparisons tell: `<table>_claims.csv` in `results/<profile>/tables`.
     a: str
     b: str
-    of: str = ""
-    """Images, or part of them."""
+    of: str = ""  # Images, or part of them.
     metrics: tuple[str, ...] = ("abs_rel", "a1")
-    needs: "Claim | None" = None
-    """What must hold as well: to gain more is nothing without a gain."""
-    of_paper: bool = True
-    """Whether the paper says so; else the table alone has it."""
-    least: float = 0.0
-    """What `a` must reach as well, for a metric where higher is better: to do better what neither can do is nothing."""
-    times: float = 1.0
-    """How many times `b`'s mean, a share, `a` must reach as well, or so many times fewer failures."""
+    needs: "Claim | None" = None  # What must hold as well: to gain more is nothing without a gain.
+    of_paper: bool = True  # Whether the paper says so; else the table alone has it.
+    least: float = 0.0  # What `a` must reach as well, for a metric where higher is better: to do better what neither can do is nothing.
+    times: float = 1.0  # How many times `b`'s mean, a share, `a` must reach as well, or so many times fewer failures.
 
 
 _FAR = Claim("The gain is clear far away", "distance", "dual", "lr", "> 20 m", ("abs_rel",))

@@ -7,8 +7,7 @@ import numpy as np
 
 from dualdepth.evaluation.parts import FAR, POLE
 
-Window = tuple[slice, slice]
-"""Rows and columns of an image."""
+Window = tuple[slice, slice]  # Rows and columns of an image.
 
 
 def around(row: float, column: float, shape: Sequence[int], share: float = 0.3) -> Window:

@@ -14,8 +14,7 @@ from dualdepth.tables.scores import NO_TRUTH, SEEDLESS, Scores, collect, scored,
 
 BASELINES = {"mean_map": "Train set mean", "row_mean": "Per-row mean", "constant": "Constant depth"}
 UNTRAINED = "untrained"
-METHODS = BASELINES | {UNTRAINED: "LR-Net, untrained"}
-"""What is no training, by name, and the method as the table has it."""
+METHODS = BASELINES | {UNTRAINED: "LR-Net, untrained"}  # What is no training, by name, and the method as the table has it.
 
 
 def main_scores(run: Run, seeds: Sequence[int]) -> Scores:

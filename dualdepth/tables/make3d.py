@@ -30,12 +30,9 @@ class Photos(NamedTuple):
     """The photos that are scored, in the order of their names."""
 
     pairs: tuple[PhotoGrid, ...]
-    grids: np.ndarray
-    """(N, 55, 305) metres."""
-    truncated: tuple[str, ...]
-    """Photos that lack their end."""
-    digest: str
-    """Of all photos and grids."""
+    grids: np.ndarray  # (N, 55, 305) metres.
+    truncated: tuple[str, ...]  # Photos that lack their end.
+    digest: str  # Of all photos and grids.
 
 
 def load_photos(run: Run) -> Photos | None:

@@ -27,8 +27,7 @@ from dualdepth.tables.trajectories import (
 
 TRAJECTORY = ("t_err", "r_err", "ate", "rpe_t", "rpe_r")
 """t_err in % of the length, r_err in degrees per 100 m, ate and rpe_t in metres, rpe_r in degrees."""
-BLOCK = 50
-"""Snippets that are drawn together: five seconds, in which a car's motion is much the same."""
+BLOCK = 50  # Snippets that are drawn together: five seconds, in which a car's motion is much the same.
 
 
 def odometry_scores(run: Run, seeds: Sequence[int]) -> Scores:

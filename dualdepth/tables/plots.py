@@ -11,10 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-NEAR, FAR = 3.0, 80.0
-"""Metres at the ends of the colour scale of depth."""
-POINT_RADIUS = 2.5
-"""Pixels that a laser point is enlarged by in pictures of errors."""
+NEAR, FAR = 3.0, 80.0  # Metres at the ends of the colour scale of depth.
+POINT_RADIUS = 2.5  # Pixels that a laser point is enlarged by in pictures of errors.
 
 
 class Picture(Figure):

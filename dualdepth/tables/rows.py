@@ -13,8 +13,7 @@ from dualdepth.evaluation.statistics import Comparison, compare
 from dualdepth.tables.claims import HIGHER_IS_BETTER, claims_of
 from dualdepth.tables.scores import SEEDLESS, Scores
 
-MEASURED, NOT_RUN = "measured", "not run"
-"""Values of the column `source` beside `paper`."""
+MEASURED, NOT_RUN = "measured", "not run"  # Values of the column `source` beside `paper`.
 COMPARISON = ["of", "a", "b", "metric", *Comparison._fields, "n", "better", "in_words", "reason"]
 """Columns of a table of comparisons: `of` says which images or which part of them, `better` is `lower` or `higher` by the metric, `reason`
 says why nothing was compared."""

@@ -222,23 +222,17 @@ def untrained_net(run: Run, seed: int) -> DepthModel:
     return DepthModel(card, architecture.build(training.pretrained), device=default_device(), precision="float32")
 
 
-SEEDLESS = -1
-"""Stands for the seed of a method that knows none, such as a baseline."""
+SEEDLESS = -1  # Stands for the seed of a method that knows none, such as a baseline.
 
 
 class Scores(NamedTuple):
     """Scores of several methods in one long frame, and why others have none."""
 
-    frame: pd.DataFrame
-    """Metrics, a row per (variant, seed, image), or per (variant, seed, image, part)."""
-    trainings: dict[str, list[Trained]]
-    """Of each variant that was trained: one for each seed."""
-    missing: dict[str, str]
-    """Of each variant without scores: the reason."""
-    drives: Sequence[str] = ()
-    """Drives of the frames that are scored."""
-    notes: Mapping[str, str] = MappingProxyType({})
-    """Of each method that is no training: what it is."""
+    frame: pd.DataFrame  # Metrics, a row per (variant, seed, image), or per (variant, seed, image, part).
+    trainings: dict[str, list[Trained]]  # Of each variant that was trained: one for each seed.
+    missing: dict[str, str]  # Of each variant without scores: the reason.
+    drives: Sequence[str] = ()  # Drives of the frames that are scored.
+    notes: Mapping[str, str] = MappingProxyType({})  # Of each method that is no training: what it is.
 
     @property
     def weights(self) -> list[Path]:

@@ -19,8 +19,7 @@ METHODS = {"lr": "w/o HR-Net", "dual": "w/ HR-Net"}
 DETAILED = ("lr", "dual_no_sa", "dual")
 THRESHOLDS = {"depth, m": (0, 2, 5, 10, 20, 50, 100), "inverse depth / its mean": (0, 0.1, 0.25, 0.5, 1, 2, 4)}
 """t of the sweep, in the unit of the map; a Sobel filter's answer is eight times the step from pixel to pixel."""
-SIZES = ("native", "common")
-"""Each map at its own size, or all at HR-Net's."""
+SIZES = ("native", "common")  # Each map at its own size, or all at HR-Net's.
 READING = ["map", "size", "threshold"]
 BOUNDARY_COLUMNS = ("f1", "lateral_precision", "lateral_recall", "lateral_f1")
 NO_DENSE_TRUTH = "needs exact dense depth, which the laser does not give"

@@ -15,8 +15,7 @@ from dualdepth.model import load_pose_net, predict_poses
 from dualdepth.run import Run, Sources
 from dualdepth.tables.scores import Trained
 
-LENGTHS = (3, 5)
-"""Frames of a snippet: 3 as the paper, 5 as Zhou et al."""
+LENGTHS = (3, 5)  # Frames of a snippet: 3 as the paper, 5 as Zhou et al.
 CONTROLS = {"constant": "Constant velocity", "straight": "Straight ahead", "inverted": "Ground truth, every pose inverted"}
 """What needs no learning, or is plainly wrong."""
 NO_SEQUENCES = "no ODOMETRY_ROOT; get it with python data_scripts/download_kitti.py --root DIR --odometry"

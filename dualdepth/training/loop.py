@@ -29,8 +29,7 @@ from dualdepth.training.log import TrainingLog, combine
 from dualdepth.training.stages import Stage, StageOutput
 from dualdepth.training.weights import save_weights
 
-CORRIDOR_RATE = 1e-3
-"""Learning rate while the paper's PoseNet learns alone."""
+CORRIDOR_RATE = 1e-3  # Learning rate while the paper's PoseNet learns alone.
 
 
 def learning_rate(stage: StageSettings, step: int, total: int) -> float:

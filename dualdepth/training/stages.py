@@ -11,10 +11,8 @@ from dualdepth.losses import Losses, total_loss
 from dualdepth.networks.pose_net import EncoderPoseNet, PoseNet
 from dualdepth.settings import Training
 
-MIRROR = (-1.0, 1.0, 1.0, 1.0, -1.0, -1.0)
-"""Signs of a pose's six numbers seen in a mirror, left for right."""
-WALLS = 5.5
-"""How far aside a corridor's walls stand, in heights of the camera: 9 metres for one that is 1.65 metres above the road."""
+MIRROR = (-1.0, 1.0, 1.0, 1.0, -1.0, -1.0)  # Signs of a pose's six numbers seen in a mirror, left for right.
+WALLS = 5.5  # How far aside a corridor's walls stand, in heights of the camera: 9 metres for one that is 1.65 metres above the road.
 
 
 class StageOutput(NamedTuple):
