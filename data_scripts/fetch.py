@@ -26,7 +26,7 @@ CHUNK = 1 << 18
 TIMEOUT = 30.0  # seconds without a byte after which a connection counts as broken
 PAUSES = (1.0, 2.0, 5.0, 10.0, 30.0)  # seconds before each new attempt; attempts are counted anew whenever bytes came
 SILENT = tqdm(disable=True)
-BROKEN = (urllib.error.URLError, ConnectionError, TimeoutError, ssl.SSLError, http.client.HTTPException)
+BROKEN = (urllib.error.URLError, ConnectionError, TimeoutError, http.client.HTTPException)
 """What another attempt may mend; the disk's errors are none of these."""
 
 
@@ -160,10 +160,17 @@ def _transfer(address: str, partial: Path, mark: Path, bar: tqdm) -> None:
             write_text(mark, _version(response))
         length = response.headers["Content-Length"]
         with open(partial, "ab") as file:
-            while chunk := response.read(CHUNK):
+            while chunk := _read(response):
                 bar.update(file.write(chunk))
         if length is not None and partial.stat().st_size != have + int(length):
             raise ConnectionError(f"the connection ended after {partial.stat().st_size} of {have + int(length)} bytes")
+
+
+def _read(response: http.client.HTTPResponse) -> bytes:
+    try:
+        return response.read(CHUNK)
+    except OSError as error:  # told apart from an error of writing, which another attempt would not mend
+        raise ConnectionError(str(error)) from None
 
 
 def _version(response: http.client.HTTPResponse) -> str:

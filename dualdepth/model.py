@@ -18,6 +18,7 @@ from dualdepth.device import Precision, choose_device, inference_precision
 from dualdepth.errors import InputError, first_mistake
 from dualdepth.evaluation.depth import resize_bilinear
 from dualdepth.geometry import low_resolution, pose_matrix, to_unit
+from dualdepth.networks import PoseEncoder
 from dualdepth.networks.architecture import Architecture, HRSize
 from dualdepth.networks.pose_net import EncoderPoseNet, PoseNet, make_pose_net
 from dualdepth.training.weights import HUB_CARD, load_card, load_weights, save_weights
@@ -30,9 +31,10 @@ Image = str | Path | np.ndarray
 
 
 class _Card(Architecture):
-    """The words of a card that say which network it is, and (height, width) of its images."""
+    """The words of a card that say which networks its weights are of, and (height, width) of their images."""
 
     hr_size: HRSize
+    pose_encoder: PoseEncoder | None = None
 
 
 class DepthModel(nn.Module, ModelHubMixin):
@@ -208,9 +210,10 @@ def load_pose_net(weights: str | Path, device: str | torch.device = "cpu") -> tu
     Raises:
         InputError: the weights or their card cannot be read or do not fit.
     """
-    net = make_pose_net(load_card(weights).get("pose_encoder"))
-    card = load_weights(weights, net, prefix="pose_net.")
-    return net.eval().to(device), _of_card(card, Path(weights).with_suffix(".json")).hr_size
+    card = _of_card(load_card(weights), Path(weights).with_suffix(".json"))
+    net = make_pose_net(card.pose_encoder)
+    load_weights(weights, net, prefix="pose_net.")
+    return net.eval().to(device), card.hr_size
 
 
 @torch.inference_mode()

@@ -68,6 +68,8 @@ def make_report(run: Run) -> Report:
     caution = f"These are numbers {where}: {words}" if words else ""
     if caution and run.profile.training.beyond_paper_residual:
         caution += f" {_WORDS['residual']}"
+    if caution and run.profile.training.beyond_paper_pose_encoder:
+        caution += f" {_WORDS['pose_encoder']}"
     if not run.profile.data.has_truth:
         caution = "An own camera has no ground truth: nothing is scored and nothing is judged. What was learned shows in the pictures."
     if leaks:

@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from dualdepth.networks import Network
+from dualdepth.networks import Network, PoseEncoder
 from dualdepth.networks.architecture import Design, HRSize
 
 Size = Annotated[tuple[int, int], Field(description="(height, width) in pixels")]
@@ -187,7 +187,7 @@ class Training(Settings):
     itself."""
     beyond_paper_mirrored_motion: bool = False
     """Beyond the paper: PoseNet sees half of the samples mirrored, and the motion that it finds is mirrored back."""
-    beyond_paper_pose_encoder: Literal["efficientnet_lite0", "mobilenet_v2", "resnet18", "resnet50"] | None = None
+    beyond_paper_pose_encoder: PoseEncoder | None = None
     """Beyond the paper: PoseNet is such an encoder, begun like LR-Net's, with a small head behind it, as in monodepth2; depth then learns
     sooner."""
     beyond_paper_average: float = Field(0.0, ge=0.0, lt=1.0)

@@ -9,12 +9,12 @@ from pathlib import Path
 from dualdepth.run import project_root
 
 ROOT = project_root()
-PACKAGES = ("dualdepth", "data_scripts")
+PACKAGES = ("dualdepth", "data_scripts", "tools")
 
 
 @functools.cache
 def modules() -> dict[str, Path]:
-    """All modules of the package and of `data_scripts`, by name."""
+    """All modules of the package, of `data_scripts` and of `tools`, by name."""
     files = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
     return {".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path for path in files}
 

@@ -10,7 +10,7 @@ from safetensors.torch import load_file
 from small_kitti import triplets_of
 
 from dualdepth.networks.depth_nets import LRNet
-from dualdepth.networks.pose_net import PoseNet
+from dualdepth.networks.pose_net import make_pose_net
 from dualdepth.profile import load_profile
 from dualdepth.training.log import read_log
 from dualdepth.training.loop import Trainer
@@ -57,7 +57,7 @@ def run(profile_of, triplets, tmp_path):
         settings = profile.training
 
         def make():
-            return kind(LRNet(settings.encoder, settings.pretrained), PoseNet(), settings, low=True)
+            return kind(LRNet(settings.encoder, settings.pretrained), make_pose_net(settings.beyond_paper_pose_encoder), settings, low=True)
 
         trainer = Trainer(make, settings.lr, profile, given or triplets, tmp_path / folder, seed=seed, recipe=recipe)
         path = trainer.run({"is": "x"})

@@ -44,8 +44,8 @@ def test_no_arrow_of_the_package_runs_up():
     assert [(a, b) for a, b in ours if place[room(a)] < place[room(b)] or room(b) in NEVER.get(room(a), ())] == []
 
 
-def test_the_package_never_imports_the_scripts_and_the_cameras_room_has_two_doors():
-    assert [(a, b) for a, b in edges() if a.startswith("dualdepth") and b.startswith("data_scripts")] == []
+def test_the_package_never_imports_scripts_or_tools_and_the_cameras_room_has_two_doors():
+    assert [(a, b) for a, b in edges() if a.startswith("dualdepth") and b.startswith(("data_scripts", "tools"))] == []
     inside = ("data_scripts.own.", "data_scripts.own")
     outside = {a for a, b in edges() if b.startswith(inside[0]) or b == inside[1]} - {a for a in modules() if a.startswith(inside[0])}
     assert outside <= OWN_CAMERA

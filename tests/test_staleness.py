@@ -51,7 +51,7 @@ def test_all_code_that_shapes_weights_and_scores_stands_in_their_digests():
 
 
 def test_a_change_in_what_comes_after_them_leaves_data_and_weights_alone():
-    after = {"evaluation", "tables", "inference", "model", "report", "paper", "cli", "bench", "notebooks"}
+    after = {"evaluation", "tables", "inference", "model", "report", "paper", "cli", "notebooks"}
     assert not after & {*CODE["data"], *CODE["training"], *CODE["training_page"]} and "tables/plots" not in CODE["training"]
 
 

@@ -28,7 +28,7 @@ from dualdepth.run import RECORD
 DATE = "2000_01_01"  # Stands where KITTI has the day of the recording; no day of KITTI's, so that its drives are never taken for KITTI's.
 JPEG_QUALITY = 95
 PIXELS = 384 * 1248  # of HR-Net's input, at most: the paper's
-STEPS = {"lr": 1200, "hr": 400}  # of 4, that the written profile asks for, about: those of profile `sample`
+STEPS = {"lr": 1200, "hr": 400}  # of 4, that the written profile asks for, about
 
 
 def drive_name(number: int) -> str:

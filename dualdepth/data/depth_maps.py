@@ -37,7 +37,7 @@ def save_ground_truth(path: str | Path, maps: Iterable[np.ndarray], names: Itera
     path, keys = Path(path), names or map("{:06d}".format, itertools.count())
     try:
         with atomic_path(path) as partial, zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED) as archive:
-            for key, depth in zip(keys, maps):
+            for key, depth in zip(keys, maps, strict=bool(names)):
                 with archive.open(f"{key}.npy", "w", force_zip64=True) as file:  # of 1980, whatever the time
                     np.lib.format.write_array(file, np.ascontiguousarray(depth, np.float32), allow_pickle=False)
             return len(archive.namelist())

@@ -4,6 +4,7 @@ import torch
 from torch import Tensor, nn
 
 from dualdepth.geometry import inverse_pose
+from dualdepth.networks import PoseEncoder
 from dualdepth.networks.encoders import make_encoder
 
 POSE_SCALE = 0.1
@@ -78,9 +79,10 @@ class EncoderPoseNet(nn.Module):
         """Poses (B, 2, 6) of images (B, 3, 3, H, W) in [0, 1]: target, previous, next; see `PoseNet.forward`."""
         pairs = torch.cat([images[:, [1, 0]], images[:, [0, 2]]]).flatten(1, 2)
         to_target, to_next = (POSE_SCALE * self.layers(self.encoder(pairs)[-1]).float().mean(dim=(2, 3))).chunk(2)
-        return torch.stack([inverse_pose(to_target), to_next], dim=1)
+        with torch.autocast(images.device.type, enabled=False):
+            return torch.stack([inverse_pose(to_target), to_next], dim=1)
 
 
-def make_pose_net(encoder: str | None, pretrained: bool | str = False) -> PoseNet | EncoderPoseNet:
+def make_pose_net(encoder: PoseEncoder | None, pretrained: bool | str = False) -> PoseNet | EncoderPoseNet:
     """The paper's PoseNet, or one with an encoder."""
     return EncoderPoseNet(encoder, pretrained) if encoder else PoseNet()

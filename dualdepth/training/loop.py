@@ -19,7 +19,7 @@ from dualdepth.data.loading import StatelessBatches, TripletDataset, make_loader
 from dualdepth.data.triplets import Triplet
 from dualdepth.device import choose_precision, default_device, device_name, is_main_process, process_count, several_on_cpu
 from dualdepth.errors import InputError
-from dualdepth.files import check_writable
+from dualdepth.files import check_writable, remove_leftovers
 from dualdepth.geometry import to_unit
 from dualdepth.networks.depth_nets import DualNet
 from dualdepth.profile import Profile
@@ -94,6 +94,7 @@ class Trainer:
         """Parts that a batch is cut into; batch norm sees each by itself."""
         if self.main:
             check_writable(self.folder)
+            remove_leftovers(self.folder)
         self._prepare(make_model, checkpoint if resumed else None)
         if checkpoint and not resumed:
             step = checkpoint["step"]

@@ -9,7 +9,7 @@ from dualdepth.data.odometry import drives_of
 from dualdepth.data.triplets import Triplet, load_triplets
 from dualdepth.device import is_main_process, keep_freed_memory, wait_for_everyone
 from dualdepth.errors import InputError
-from dualdepth.files import check_writable, locked, remove_leftovers, write_text
+from dualdepth.files import check_writable, locked, write_text
 from dualdepth.networks.pose_net import make_pose_net
 from dualdepth.profile import Profile
 from dualdepth.run import Run, Sources
@@ -40,7 +40,6 @@ def train_variant(run: Run, name: str, seed: int) -> Path:
         if is_main_process():
             check_writable(folder)
             held.enter_context(locked(folder / "lock", PATIENCE))
-            remove_leftovers(folder)
         wait_for_everyone()  # the first one has the lock before anything is read
         if (card := finished_card(weights)) and card.get("recipe") == recipe:
             if is_main_process():
@@ -78,6 +77,7 @@ def start_weights(run: Run, name: str, seed: int) -> Path | None:
     start = run.require(run.weights(first, seed), f"03_train_lr, variant {first}, seed {seed},")
     card = load_card(start)
     needed = {"network": "lr", "encoder": profile.training.encoder, "hr_size": list(profile.data.hr_size)}
+    needed["pose_encoder"] = profile.training.beyond_paper_pose_encoder
     wrong = [f"{key} {card.get(key)!r} instead of {value!r}" for key, value in needed.items() if card.get(key) != value]
     wrong += [f"no {key}" for key in ("variant", "seed", "steps", "sha256", "drives", "pretrained") if key not in card]
     if wrong:
@@ -94,7 +94,9 @@ def make_stage(profile: Profile, name: str, start: Path | None = None) -> Stage:
     variant, training = profile.variant(name), profile.of_variant(name).training
     # a dual network's LR-Net has the weights of `start`: only a first training begins with ImageNet's
     depth_net = profile.architecture(name).build(training.pretrained if variant.network in ("lr", "single") else False)
-    pose_net = make_pose_net(training.beyond_paper_pose_encoder, training.pretrained and not start)
+    # a place of weights that is named is the depth encoder's
+    pretrained = training.pretrained if training.beyond_paper_pose_encoder == training.encoder else bool(training.pretrained)
+    pose_net = make_pose_net(training.beyond_paper_pose_encoder, pretrained if not start else False)
     stage = Stage(depth_net, pose_net, training, low=variant.network == "lr")
     if start:
         load_weights(start, stage.pose_net, prefix="pose_net.")
@@ -108,10 +110,10 @@ def _mark(weights: Path) -> Path:
     marker = weights.with_name("trained.json")
     digest = json.dumps({"weights_sha256": load_card(weights)["sha256"]}) + "\n"
     if is_main_process():
+        for path in (*checkpoint_paths(weights.parent), *weights.parent.glob(".trained.*.part.json")):  # the latter a killed writer's
+            path.unlink(missing_ok=True)
         if not (marker.exists() and marker.read_text(encoding="utf-8") == digest):
             write_text(marker, digest)
-        for path in checkpoint_paths(weights.parent):
-            path.unlink(missing_ok=True)
     return weights
 
 

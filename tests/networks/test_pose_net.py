@@ -73,10 +73,13 @@ def encoded():
     return EncoderPoseNet("efficientnet_lite0", True).eval()
 
 
-def test_with_an_encoder_one_motion_of_the_car_gives_a_pose_and_its_inverse(encoded):
+@pytest.mark.parametrize("bf16", [False, True])
+def test_with_an_encoder_one_motion_of_the_car_gives_a_pose_and_its_inverse(encoded, bf16):
     seen = images(size=(64, 96))
-    seen[:, 1], seen[:, 2] = seen[:, 0], seen[:, 0]  # both pairs are the same two images
-    to_previous, to_next = pose_matrix(encoded(seen)).unbind(1)
+    seen[:, 1:] = seen[:, :1]  # both pairs are the same two images
+    with torch.autocast("cpu", torch.bfloat16, enabled=bf16):
+        poses = encoded(seen)
+    to_previous, to_next = pose_matrix(poses).unbind(1)
     assert (to_next - torch.eye(4)).abs().max() > 1e-4
     assert torch.allclose(to_previous @ to_next, torch.eye(4), atol=1e-6)
 

@@ -185,15 +185,15 @@ def test_any_floats_as_predictions(kind, resize, counted):
 
 def test_cards_of_networks(tmp_path, monkeypatch, counted):
     monkeypatch.setattr("dualdepth.networks.architecture.Architecture.build", lambda self, pretrained=False: network())
-    monkeypatch.setattr("dualdepth.model.PoseNet", network)
-    whole = Architecture(network="lr", encoder="resnet18").model_dump() | {"hr_size": [192, 192]}
+    monkeypatch.setattr("dualdepth.model.make_pose_net", lambda encoder: network())
+    whole = Architecture(network="lr", encoder="resnet18").model_dump() | {"hr_size": [192, 192], "pose_encoder": None}
     save_weights(
         tmp_path / "w.safetensors",
         SimpleNamespace(state_dict=lambda: network().state_dict(prefix="depth_net.") | network().state_dict(prefix="pose_net.")),
         whole,
     )
     digest = load_card(tmp_path / "w.safetensors")["sha256"]
-    assert load(tmp_path / "w.safetensors", "cpu").size == (192, 192)
+    assert load(tmp_path / "w.safetensors", "cpu").size == load_pose_net(tmp_path / "w.safetensors")[1] == (192, 192)
 
     def write_and_load(value):
         (tmp_path / "w.json").write_text(json.dumps(value | {"sha256": digest} if isinstance(value, dict) else value))

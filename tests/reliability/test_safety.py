@@ -11,7 +11,7 @@ import pytest
 from data_scripts import sources
 
 REPOSITORY = Path(__file__).parents[2]
-SOURCES = [path for folder in ("dualdepth", "data_scripts") for path in sorted((REPOSITORY / folder).rglob("*.py"))]
+SOURCES = [path for folder in ("dualdepth", "data_scripts", "tools") for path in sorted((REPOSITORY / folder).rglob("*.py"))]
 IMPORT_ALL = """
 import importlib, pkgutil, socket, sys
 

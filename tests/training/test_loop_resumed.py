@@ -22,11 +22,19 @@ def test_a_run_that_was_told_to_stop_goes_on_to_the_same_weights(run, whole, tmp
     assert equal(run("cut"), whole)
 
 
-def test_a_stop_while_posenet_learns_alone_or_after_it_changes_nothing(run, profile_of, tmp_path):
-    profile = profile_of(training={"beyond_paper_corridor_steps": 2, "beyond_paper_mirrored_motion": True})
+@pytest.mark.parametrize(
+    ("more", "rates"),
+    [
+        ({"beyond_paper_mirrored_motion": True}, [1e-3, 1e-3, 1e-4]),
+        ({"beyond_paper_pose_encoder": "efficientnet_lite0", "beyond_paper_average": 0.6}, [2e-4, 2e-4, 1e-4]),
+    ],
+    ids=["the paper's PoseNet", "one with an encoder"],
+)
+def test_a_stop_while_posenet_learns_alone_or_after_it_changes_nothing(run, profile_of, tmp_path, more, rates):
+    profile = profile_of(training={"beyond_paper_corridor_steps": 2} | more)
     whole = run("whole", profile=profile)
     log = read_log(tmp_path / "whole/log.csv")
-    assert list(log["learning_rate"][:3]) == pytest.approx([1e-3, 1e-3, 1e-4])
+    assert list(log["learning_rate"][:3]) == pytest.approx(rates)
     assert list(log["feature_spread"] > 0) == [False] * 2 + [True] * (STEPS - 2)  # a corridor has none
     for number in (1, 2):  # the second is after it: it counts from the checkpoint
         with pytest.raises(SystemExit):

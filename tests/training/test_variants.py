@@ -18,7 +18,7 @@ from dualdepth.files import file_digest, locked
 from dualdepth.model import load, load_pose_net
 from dualdepth.networks.architecture import Architecture
 from dualdepth.networks.depth_nets import DualNet, LRNet
-from dualdepth.networks.pose_net import PoseNet
+from dualdepth.networks.pose_net import EncoderPoseNet, PoseNet
 from dualdepth.run import Sources
 from dualdepth.training import variants
 from dualdepth.training.checkpoints import last_checkpoint
@@ -78,12 +78,28 @@ def test_imagenets_weights_are_for_networks_that_start_from_nothing(trained, mon
 
 def test_a_posenet_with_an_encoder_is_trained_and_read_back_and_another_is_no_start_of_stage_2(after_stage_1):
     with_encoder = {"training.beyond_paper_pose_encoder": "efficientnet_lite0"}
-    run = after_stage_1(train={"lr": None, "dual": with_encoder, "one_network": with_encoder | {"training.hr.max_steps": 1}})
-    train_variant(run, "one_network", 0)
-    net, size = load_pose_net(run.weights("one_network", 0))
-    assert size == (192, 192) and equal(net.state_dict(), part(run.weights("one_network", 0), "pose_net."))
-    with pytest.raises(InputError, match="another network"):
+    run = after_stage_1(train={"lr": None, "dual": with_encoder | {"training.hr.max_steps": 1}})
+    with pytest.raises(InputError, match="pose_encoder None instead of 'efficientnet_lite0'"):
         train_variant(run, "dual", 0)
+    run = after_stage_1("both", train={"lr": with_encoder, "dual": with_encoder | {"training.hr.max_steps": 1}})
+    first = part(train_variant(run, "lr", 0), "pose_net.")
+    assert equal(make_stage(run.profile, "dual", run.weights("lr", 0)).pose_net.state_dict(), first)
+    net, size = load_pose_net(train_variant(run, "dual", 0))
+    assert size == (192, 192) and equal(net.state_dict(), part(run.weights("dual", 0), "pose_net.")) and not equal(net.state_dict(), first)
+
+
+@pytest.mark.parametrize(("place", "given"), [(True, True), (False, False), ("some/folder", True)])
+def test_a_posenets_encoder_begins_with_imagenets_weights_in_stage_1_alone(trained, monkeypatch, place, given):
+    """A place of weights that the profile names is of the depth network's encoder, which is another here."""
+    asked, pose_net = [], EncoderPoseNet("efficientnet_lite0")
+    monkeypatch.setattr(variants, "make_pose_net", lambda encoder, pretrained: asked.append((encoder, pretrained)) or pose_net)
+    monkeypatch.setattr(Architecture, "build", lambda self, pretrained=False, build=Architecture.build: build(self))
+    monkeypatch.setattr(variants, "load_weights", lambda *_, **__: None)
+    more = {"pretrained": place, "beyond_paper_pose_encoder": "efficientnet_lite0"}
+    profile = trained.profile.model_copy(update={"training": trained.profile.training.model_copy(update=more)})
+    make_stage(profile, "lr")
+    make_stage(profile, "dual", trained.weights("lr", 0))
+    assert asked == [("efficientnet_lite0", given), ("efficientnet_lite0", False)]
 
 
 def test_the_card_says_which_network_it_is_what_it_saw_and_what_it_started_from(trained, encoder):
