@@ -11,9 +11,6 @@ from dualdepth.networks.encoders import make_encoder, outputs
 
 HR_WIDTHS = (32, 64, 128, 128, 128)
 """HR-Net's channels at strides 2, 4, 8, 16, 32: a declared reconstruction, fitted like the decoder's to the paper's overhead table."""
-RESIDUAL_FLOOR = -7.0
-"""Lowest logit of LR-Net that a residual is added to. Below it the sigmoid gives hardly a gradient (at −11 a thirtieth of that at −7), so
-that HR-Net could not bring nearer what LR-Net took for infinitely far (docs/learning.md, "Stage 2")."""
 
 
 class LRNet(nn.Module):
@@ -74,8 +71,8 @@ class DualNet(nn.Module):
     Args:
         lr_net: of stage 1; its parameters are frozen here.
         link, similarity, normalise: what HR-Net receives, see `Design`.
-        residual: beyond the paper, HR-Net's logits are added to LR-Net's, enlarged and not below `RESIDUAL_FLOOR`, so that it begins
-            with LR-Net's depth.
+        residual: beyond the paper, HR-Net's logits are added to LR-Net's, enlarged and not below `floor` (none until a training or
+            weights set it), so that it begins with LR-Net's depth.
     """
 
     def __init__(
@@ -88,7 +85,7 @@ class DualNet(nn.Module):
         self.attention = None if link == "direct" else SelfAssembledAttention(deepest, similarity, normalise, mixing=link == "attention")
         self.hr_net = HRNet(deepest if self.attention is None else WIDTH)
         if residual:
-            self.register_buffer("floor", torch.tensor(RESIDUAL_FLOOR))  # among the weights, so that those of another floor do not fit
+            self.register_buffer("floor", torch.tensor(-torch.inf))  # among the weights, which were trained above it
             for head in self.hr_net.decoder.heads:
                 nn.init.zeros_(head.bias)
         self.train(self.training)

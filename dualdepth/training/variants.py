@@ -98,6 +98,8 @@ def make_stage(profile: Profile, name: str, start: Path | None = None) -> Stage:
     pretrained = training.pretrained if training.beyond_paper_pose_encoder == training.encoder else bool(training.pretrained)
     pose_net = make_pose_net(training.beyond_paper_pose_encoder, pretrained if not start else False)
     stage = Stage(depth_net, pose_net, training, low=variant.network == "lr")
+    if profile.architecture(name).residual:
+        depth_net.floor.fill_(training.beyond_paper_residual_floor)
     if start:
         load_weights(start, stage.pose_net, prefix="pose_net.")
         if variant.network == "dual":

@@ -11,7 +11,7 @@ from torch.nn import functional as F
 from dualdepth.evaluation.cost import count
 from dualdepth.networks import Link
 from dualdepth.networks.attention import STARTING_RMS
-from dualdepth.networks.depth_nets import RESIDUAL_FLOOR, DualNet, HREncoder, HRNet, LRNet
+from dualdepth.networks.depth_nets import DualNet, HREncoder, HRNet, LRNet
 
 SMALL, SIZE = (64, 96), (192, 288)
 GLOBAL = 16
@@ -255,14 +255,15 @@ def test_a_residual_begins_with_lr_nets_depth_enlarged_above_the_floor(encoder):
     torch.manual_seed(0)
     lr_net = with_heads(LRNet(encoder))
     for head in lr_net.decoder.heads:
-        nn.init.constant_(head.bias, RESIDUAL_FLOOR)
+        nn.init.constant_(head.bias, -7.0)
     net = DualNet(lr_net, residual=True)
+    net.floor.fill_(-7.0)
     net.begin(image(items=2))
     with torch.inference_mode():
         high, low = net(image(), with_lr_depth=True)
         fewer = net(image(), 1)
-    assert low.logits[0].std() > 0.1 and 0.1 < (low.logits[0] < RESIDUAL_FLOOR).float().mean() < 0.9
-    floored = low.logits[0].clamp(min=RESIDUAL_FLOOR)
+    assert low.logits[0].std() > 0.1 and 0.1 < (low.logits[0] < -7.0).float().mean() < 0.9
+    floored = low.logits[0].clamp(min=-7.0)
     for scale, found in enumerate(high.logits):
         size = (SIZE[0] >> scale, SIZE[1] >> scale)
         assert torch.equal(found, F.interpolate(floored, size, mode="bilinear", align_corners=False))

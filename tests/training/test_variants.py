@@ -255,6 +255,7 @@ def test_a_residual_dual_network_gets_its_starting_scale_once_and_is_read_back(a
     monkeypatch.setattr(DualNet, "begin", lambda self, image: begun.append(tuple(image.shape)) or begin(self, image))
     changes = {
         "training.beyond_paper_residual": True,
+        "training.beyond_paper_residual_floor": -8.5,
         "training.hr.max_steps": 1,
         "training.beyond_paper_corridor_steps": 9,
     }  # of stage 1 alone
@@ -263,7 +264,7 @@ def test_a_residual_dual_network_gets_its_starting_scale_once_and_is_read_back(a
     assert begun == [(1, 3, 192, 192)]
     assert read_log(run.training("dual", 0) / "log.csv")["feature_spread"].min() > 0
     model = load(run.weights("dual", 0))
-    assert model.architecture.residual and model.depth_net.residual and load_card(run.weights("dual", 0))["residual"] is True
+    assert model.architecture.residual and model.depth_net.floor == -8.5 and load_card(run.weights("dual", 0))["residual"] is True
 
 
 WEIGHTS, CARD = r"/runs/lr/seed0/model\.safetensors", r"/runs/lr/seed0/model\.json"
