@@ -138,8 +138,8 @@ def _number(kind: type, above: float = 0, below: float = math.inf) -> Callable[[
 
 def _predict_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("inputs", nargs="+", metavar="INPUT", help="image, video, folder of them, or pattern in quotes ('in/**/*.jpg')")
-    weights = "model.safetensors with its card beside it, its folder, or owner/name on the model hub"
-    parser.add_argument("--weights", required=True, metavar="W", help=weights)
+    weights = "model.safetensors with its card beside it, its folder, or owner/name on the model hub (default: those of the package)"
+    parser.add_argument("--weights", metavar="W", help=weights)
     parser.add_argument("--out", required=True, metavar="DIR", help="folder of the results; predictions.json in it says what is what")
     parser.add_argument(
         "--save",
@@ -291,15 +291,16 @@ def _predict(arguments: argparse.Namespace) -> int:
     from dualdepth.files import check_writable
     from dualdepth.inference.files import find_inputs, predict_files
     from dualdepth.inference.results import Style, parse_kinds
-    from dualdepth.model import load
+    from dualdepth.model import RELEASED, load
 
     if arguments.intrinsics and min(arguments.intrinsics[:2]) <= 0:
         raise InputError(f"--intrinsics {arguments.intrinsics}: the focal lengths must be positive")
     kinds, paths = parse_kinds(arguments.save), find_inputs(arguments.inputs)
     keep_freed_memory()
-    model = load(arguments.weights, arguments.device, arguments.precision)
+    model = load(arguments.weights or RELEASED, arguments.device, arguments.precision)
     check_writable(arguments.out)
-    print(f"{arguments.weights}: {model.about}", flush=True)
+    if arguments.weights:
+        print(f"{arguments.weights}: {model.about}", flush=True)
     intrinsics = tuple(arguments.intrinsics) if arguments.intrinsics else None
     style = Style(model.about, arguments.scale, intrinsics, arguments.focal, arguments.fov)
     options = {"kinds": kinds, "batch_size": arguments.batch_size, "overwrite": arguments.overwrite}

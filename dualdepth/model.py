@@ -1,6 +1,7 @@
 """A trained network and its card: `load(weights).predict(image)`, disparities for the tables, motions of PoseNet."""
 
 import inspect
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ from dualdepth.training.weights import HUB_CARD, load_card, load_weights, save_w
 UNIT = 16.0
 """Relative depth is reported as 16 / disparity (1.6 … 1600). Stored as uint16 × 256, as KITTI's, that resolves near depths to 0.25 %."""
 WEIGHTS = "model.safetensors"
+RELEASED = Path(__file__).parent / "released"  # The weights that come with the package (`python -m tools.publish weights`).
 Image = str | Path | np.ndarray
 """An image file (turned as its EXIF data say; grey, 16-bit and transparent ones are read as 8-bit RGB), or (H, W, 3) uint8 RGB."""
 
@@ -85,7 +87,8 @@ class DepthModel(nn.Module, ModelHubMixin):
         learned = self.card.get("about")
         learned = f"Learned by {learned}." if learned else "The card does not say what these weights were learned from."
         start = " The encoder began with ImageNet weights." if self.card.get("pretrained") else ""
-        return f"Depth is relative: its unit is unknown. {learned}{start}"
+        licence = f" Licence of the weights: {self.card['licence']}." if self.card.get("licence") else ""
+        return f"Depth is relative: its unit is unknown. {learned}{start}{licence}"
 
     def __repr__(self) -> str:
         return f"DepthModel({self.architecture.network}, {self.size[1]}×{self.size[0]}, {self.device}, {self.precision}): {self.about}"
@@ -147,13 +150,14 @@ class DepthModel(nn.Module, ModelHubMixin):
 
     @classmethod
     def from_pretrained(
-        cls, weights: str | Path, device: str | torch.device | None = None, precision: Precision | None = None, **hub: Any
+        cls, weights: str | Path = RELEASED, device: str | torch.device | None = None, precision: Precision | None = None, **hub: Any
     ) -> "DepthModel":
-        """Load trained weights.
+        """Load trained weights; those that come with the package are named on stderr.
 
         Args:
             weights: a `.safetensors` file with its card beside it (`<name>.json`, or `config.json`), as
-                `work/<profile>/runs/<variant>/seed<n>/model.safetensors`; the folder of one; or a name on the model hub, `owner/name`.
+                `work/<profile>/runs/<variant>/seed<n>/model.safetensors`; the folder of one; or a name on the model hub, `owner/name`;
+                left out, those that come with the package.
             device: such as `cpu`, `cuda`, `cuda:1`, `mps`; None takes a GPU where there is one.
             precision: `float32` or `bf16`; None takes bf16 on a CUDA GPU that has it, else float32.
             hub: options of `huggingface_hub.snapshot_download`, such as `revision`, `cache_dir`, `token`, `local_files_only`.
@@ -188,6 +192,8 @@ class DepthModel(nn.Module, ModelHubMixin):
         _of_card(card, path.with_suffix(".json"), *Architecture.model_fields)  # a card in a file names all, and no default is taken
         model = cls(card, device=device, precision=precision)
         load_weights(path, model.depth_net, prefix="depth_net.")
+        if path.parent == RELEASED:
+            print(f"the package's own weights: {model.about}", file=sys.stderr)
         return model
 
     def _save_pretrained(self, save_directory: Path) -> None:

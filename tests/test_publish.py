@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from dualdepth.errors import InputError
+from dualdepth.model import DepthModel, load
 from dualdepth.profile import PROFILES
 from dualdepth.run import Run
-from tools.publish import publish_notebooks, publish_results
+from tools.publish import publish_notebooks, publish_results, publish_weights
 
 KITTI = "about: x\ndata:\n  source: kitti\n  train_list: eigen_zhou\n"
 
@@ -69,6 +70,27 @@ def test_results_of_code_that_was_not_committed_are_refused_by_name(project, res
     with pytest.raises(InputError, match=r"tiny: main_depth\.json, ablation\.json were made by code that was not committed; commit it"):
         publish_results("tiny")
     assert kept.read_text() == "kept"
+
+
+@pytest.mark.parametrize(("kitti", "leak"), [(True, ""), (True, "LEAK"), (False, "")])
+def test_weights_of_kitti_alone_come_with_the_package_with_scores_and_licence(project, monkeypatch, tmp_path, capsys, kitti, leak):
+    monkeypatch.setattr("dualdepth.model.RELEASED", tmp_path / "released")
+    (project / "own.yaml").write_text(KITTI)
+    profile = str(project / "own.yaml") if kitti else "tiny"
+    run, model = Run(profile), DepthModel({"network": "hr", "hr_size": [192, 288], "about": "nothing"}, device="cpu")
+    model.save_pretrained(run.weights("dual", 0).parent)
+    (run.results / "tables").mkdir(parents=True)
+    row = f'"{run.profile.variant("dual").label}",0.2,5.0,0.7,26,{leak},measured'
+    (run.results / "tables/main.csv").write_text(f"method,abs_rel,rmse,a1,n,leak,source\n{row}\n")
+    if leak or not kitti:
+        with pytest.raises(InputError, match="only weights of one seed from KITTI come with the package"):
+            publish_weights(profile)
+        return
+    publish_weights(profile)
+    found = load(tmp_path / "released")
+    assert found.card["scores"] == {"abs_rel": 0.2, "rmse": 5.0, "a1": 0.7} and "26 frames" in found.card["scored_on"]
+    assert "CC BY-NC-SA 3.0" in found.about and f"the package's own weights: {found.about}" in capsys.readouterr().err
+    assert (tmp_path / "released/model.safetensors").stat().st_size < 0.3 * 4 * sum(p.numel() for p in model.parameters())
 
 
 def write_notebook(path, output=None, parameters=None):

@@ -1,4 +1,4 @@
-"""Keep what a run made: `make publish` its results, `make notebooks` its notebooks without what differs from run to run."""
+"""Keep what a run made: its results (`make publish`), its weights, its notebooks without what differs from run to run (`make notebooks`)."""
 
 import argparse
 import ast
@@ -12,9 +12,11 @@ from pathlib import Path
 from dualdepth.errors import InputError, exit_on_input_error
 from dualdepth.files import atomic_path
 from dualdepth.run import Run
+from dualdepth.training.weights import HUB_CARD, save_weights
 
 PICTURE_WIDTH = 900
 """Pixels that a picture in a published notebook has at most."""
+LICENCE = "CC BY-NC-SA 3.0, as KITTI's images from which they were learned, for non-commercial research"
 
 
 def publish_results(profile: str) -> int:
@@ -39,6 +41,31 @@ def publish_results(profile: str) -> int:
     files = sum(path.is_file() for path in target.rglob("*"))
     print(f"{target.relative_to(run.root)}: {files} files")
     return files
+
+
+def publish_weights(profile: str) -> None:
+    """Put the dual network of a profile's first seed into the package, in 8 bits, with its scores and licence on the card.
+
+    Raises:
+        InputError: there is no trained dual network or no main table yet, or the numbers are not those of one training from KITTI's
+            frames, scored on drives that it did not see.
+    """
+    import pandas as pd
+
+    from dualdepth.model import RELEASED, WEIGHTS, load
+
+    run = Run(profile)
+    table = pd.read_csv(run.require(run.results / "tables" / "main.csv", "05_table_main")).query("source == 'measured'")
+    row = table[table["method"] == run.profile.variant("dual").label].iloc[0]
+    if run.profile.data.source != "kitti" or len(run.profile.seeds) > 1 or pd.notna(row["leak"]):
+        raise InputError(f"{run.results}: only weights of one seed from KITTI come with the package, scored on drives they did not see")
+    model = load(run.weights("dual", run.profile.seeds[0]), "cpu")
+    scores = {name: float(row[name]) for name in ("abs_rel", "rmse", "a1")}
+    model.card |= {"scores": scores, "scored_on": f"{row['n']} frames of other drives of KITTI", "licence": LICENCE}
+    model.save_pretrained(RELEASED)  # with the page for the hub
+    card = {key: value for key, value in model.card.items() if key != "sha256"}
+    save_weights(RELEASED / WEIGHTS, model, card, HUB_CARD, small=True)
+    print(f"{RELEASED}: {sum(path.stat().st_size for path in RELEASED.iterdir()) / 1e6:.1f} MB")
 
 
 def publish_notebooks() -> int:
@@ -108,11 +135,12 @@ def _small_jpeg(png: str) -> str:
 def main(argv: list[str] | None = None) -> int:
     """Run the command line."""
     parser = argparse.ArgumentParser(description="Keep what a run made.")
-    parser.add_argument("what", choices=("results", "notebooks"))
+    parser.add_argument("what", choices=("results", "notebooks", "weights"))
     parser.add_argument("--profile", default="miniature")
     arguments = parser.parse_args(argv)
     with exit_on_input_error():
-        publish_notebooks() if arguments.what == "notebooks" else publish_results(arguments.profile)
+        keep = {"results": publish_results, "weights": publish_weights}
+        publish_notebooks() if arguments.what == "notebooks" else keep[arguments.what](arguments.profile)
     return 0
 
 

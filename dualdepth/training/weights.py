@@ -4,26 +4,29 @@ import json
 from pathlib import Path
 from typing import Any
 
+import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
-from torch import nn
+from torch import Tensor, nn
 
 from dualdepth.errors import InputError, reading
 from dualdepth.files import atomic_path, file_digest, write_json
 
 HUB_CARD = "config.json"
+LARGE = 10_000  # Numbers from which on a tensor is kept in 8 bits, where that is asked for.
 
 
-def save_weights(path: str | Path, model: nn.Module, card: dict[str, Any], card_name: str | None = None) -> None:
+def save_weights(path: str | Path, model: nn.Module, card: dict[str, Any], card_name: str | None = None, small: bool = False) -> None:
     """Write weights as safetensors and beside them `<name>.json`, or `card_name`, the card, with the weights' sha256 in it.
 
-    The card goes first, so that weights are never there without one.
+    The card goes first, so that weights are never there without one. `small` keeps them `in_8_bits`.
 
     Raises:
         InputError: they could not be written.
     """
     path = Path(path)
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in model.state_dict().items()}
+    tensors = in_8_bits(tensors) if small else tensors
     try:
         with atomic_path(path) as partial:
             save_file(tensors, partial)
@@ -32,6 +35,15 @@ def save_weights(path: str | Path, model: nn.Module, card: dict[str, Any], card_
             partial.chmod(beside.stat().st_mode)  # safetensors keeps its files from all others
     except (OSError, SafetensorError) as error:
         raise InputError(f"{path}: could not be written ({error}); free space, then the same command goes on from the checkpoint") from None
+
+
+def in_8_bits(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Tensors for a file of a quarter of the size: large ones as whole numbers of steps, from −127 to 127, where each output channel has a
+    step size of its own, `<name>.step`. A weight moves by at most half a step, a 254th of its channel's largest."""
+    large = {name: tensor for name, tensor in tensors.items() if tensor.numel() >= LARGE}
+    steps = {n: t.abs().amax(dim=tuple(range(1, t.ndim)), keepdim=True).clamp(min=1e-12) / 127 for n, t in large.items()}
+    rounded = {name: (tensor / steps[name]).round().to(torch.int8) for name, tensor in large.items()}
+    return tensors | rounded | {f"{name}.step": step for name, step in steps.items()}
 
 
 def load_card(path: str | Path) -> dict[str, Any]:
@@ -65,7 +77,7 @@ def finished_card(path: str | Path) -> dict[str, Any] | None:
 
 
 def load_weights(path: str | Path, model: nn.Module, prefix: str = "") -> dict[str, Any]:
-    """Fill `model` with released weights, and return their card.
+    """Fill `model` with released weights, also those `in_8_bits`, and return their card.
 
     Args:
         path: the safetensors file; its card lies beside it.
@@ -80,8 +92,10 @@ def load_weights(path: str | Path, model: nn.Module, prefix: str = "") -> dict[s
         digest, tensors = file_digest(Path(path)), load_file(path)
     if digest != (told := card.get("sha256")):
         raise InputError(f"{path}: sha256 {digest[:12]}… is not the card's {str(told)[:12]}…; the file was changed, copy it again")
+    steps = {name.removesuffix(".step"): tensors.pop(name) for name in [*tensors] if name.endswith(".step")}
     try:
-        model.load_state_dict({name.removeprefix(prefix): t for name, t in tensors.items() if name.startswith(prefix)})
+        whole = {name: tensor * steps[name] if name in steps else tensor for name, tensor in tensors.items()}
+        model.load_state_dict({name.removeprefix(prefix): t for name, t in whole.items() if name.startswith(prefix)})
     except RuntimeError as error:
         reason = str(error).splitlines()[1].strip()[:120]
         raise InputError(f"{path}: weights of another network ({reason}); check the profile's encoder") from None

@@ -5,7 +5,9 @@ import json
 import pickle
 
 import pytest
+import torch
 from small_nets import Net, Trap, equal, trained_net
+from torch import nn
 
 from dualdepth.errors import InputError
 from dualdepth.training.weights import HUB_CARD, finished_card, load_card, load_weights, save_weights
@@ -28,6 +30,19 @@ def test_weights_and_card_make_the_round_trip(tmp_path, card_name):
     assert equal(other.state_dict(), net.state_dict())
     assert card == {"profile": "tiny", "seed": 3, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
     assert sorted(p.name for p in tmp_path.iterdir()) == [card_name or "model.json", "model.safetensors"]
+
+
+def test_large_tensors_are_kept_in_8_bits_to_half_a_step_of_their_channel_and_small_ones_as_they_are(tmp_path):
+    net = nn.Conv2d(64, 32, 3)
+    with torch.no_grad():
+        net.weight[3] *= 100.0
+        net.weight[4] = 0.0
+    path, other = tmp_path / "model.safetensors", nn.Conv2d(64, 32, 3)
+    save_weights(path, net, {}, small=True)
+    load_weights(path, other)
+    half_step = net.weight.abs().amax(dim=(1, 2, 3), keepdim=True) / 254
+    assert ((other.weight - net.weight).abs() <= half_step * 1.001).all() and torch.equal(other.bias, net.bias)
+    assert path.stat().st_size < 0.3 * 4 * net.weight.numel()
 
 
 def test_weights_that_are_changed_no_safetensors_file_or_of_another_network_are_refused(path):
