@@ -1,4 +1,4 @@
-"""Keep what a run made: its results (`make publish`), its weights, its notebooks without what differs from run to run (`make notebooks`)."""
+"""Keep what a run made: its results (`make publish`), its weights, its notebooks without what differs between runs (`make notebooks`)."""
 
 import argparse
 import ast

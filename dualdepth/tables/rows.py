@@ -10,7 +10,7 @@ from dualdepth import paper
 from dualdepth.evaluation.depth import METRICS
 from dualdepth.evaluation.leaks import check_leak
 from dualdepth.evaluation.statistics import Comparison, compare
-from dualdepth.tables.claims import HIGHER_IS_BETTER, claims_of
+from dualdepth.tables.claims import HIGHER_IS_BETTER, Claim, claims_of
 from dualdepth.tables.scores import SEEDLESS, Scores
 
 MEASURED, NOT_RUN = "measured", "not run"  # Values of the column `source` beside `paper`.
@@ -121,7 +121,14 @@ def comparisons(rows: Iterable[dict[str, Any]], *more: str) -> pd.DataFrame:
 
 def claims_table(scores: Scores, table: str) -> pd.DataFrame:
     """The pairs that the paper's claims about a table of whole images name, such as `ablation`, compared with the better one first."""
-    return comparisons(row for claim in claims_of(table) for row in paired(scores, claim.a, claim.b))
+    return comparisons(row for claim in claims_of(table) for row in paired(scores, *_pair(claim, scores)))
+
+
+def _pair(claim: Claim, scores: Scores) -> tuple[str, str]:
+    """The two that a claim compares, or those that stand for them."""
+    begun = [scores.trainings[method][0].card["pretrained"] if method in scores.trainings else None for method in (claim.a, claim.b)]
+    alike = None not in begun and begun[0] == begun[1]
+    return (claim.a, claim.b) if alike or not claim.instead or scores.missing.keys() & set(claim.instead) else claim.instead
 
 
 def _with_words(table: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:
@@ -130,10 +137,11 @@ def _with_words(table: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:
 
 
 def _why_not(scores: Scores, a: str, b: str) -> str:
-    """Why two methods cannot be compared; nothing if they can. Trainings of one stage must be equally long."""
+    """Why two methods cannot be compared; nothing if they can. Trainings of one stage after the same must be equally long."""
     reasons = dict.fromkeys(scores.missing[method] for method in (a, b) if method in scores.missing)
     pairs = zip(scores.trainings.get(a, []), scores.trainings.get(b, []))
-    lengths = [(x.card["steps"], y.card["steps"]) for x, y in pairs if x.stage == y.stage] if not reasons else []
+    alike = [(x.card, y.card) for x, y in pairs if not reasons and x.stage == y.stage]
+    lengths = [(x["steps"], y["steps"]) for x, y in alike if bool(x["starts_from"]) == bool(y["starts_from"])]
     unequal = [f"{a} was trained for {x} steps, {b} for {y}" for x, y in lengths if x != y]
     return "; ".join([*reasons, *unequal[:1]])
 
