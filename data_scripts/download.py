@@ -99,12 +99,3 @@ def download(
     with contextlib.suppress(OSError):  # not empty: archives that were to be kept
         (root / "archives").rmdir()
     return len(pending)
-
-
-def run_script(main: Callable[[], None]) -> None:
-    """Run `main`; who stops it is told that the same command goes on."""
-    try:
-        main()
-    except KeyboardInterrupt:
-        print("stopped; run the same command again to go on", file=sys.stderr)
-        sys.exit(130)

@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from data_scripts import sources
-from data_scripts.download import download, run_script
+from data_scripts.download import download
 from dualdepth.errors import InputError, exit_on_input_error
 from dualdepth.files import check_writable
 from dualdepth.profile import load_profile
@@ -69,4 +69,4 @@ def main(argv: Sequence[str] | None = None, *, kitti_home: str = sources.KITTI_H
 
 
 if __name__ == "__main__":
-    run_script(main)
+    main()

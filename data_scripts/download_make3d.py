@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from data_scripts.archives import BadArchiveError
-from data_scripts.download import download, progress, run_script
+from data_scripts.download import download, progress
 from data_scripts.sources import MAKE3D, MAKE3D_HOME, Archive
 from dualdepth.data.make3d import MAKE3D_PHOTOS, find_pairs, read_grid, read_photo
 from dualdepth.errors import InputError, exit_on_input_error
@@ -60,4 +60,4 @@ def main(argv: Sequence[str] | None = None, *, home: str = MAKE3D_HOME) -> None:
 
 
 if __name__ == "__main__":
-    run_script(main)
+    main()

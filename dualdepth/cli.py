@@ -18,9 +18,8 @@ class OneLineParser(argparse.ArgumentParser):
     """An argument parser whose error is one line, without the usage before it."""
 
     def error(self, message: str) -> NoReturn:
-        """Print the mistake and where help is, and exit with code 2."""
-        print(f"error: {' '.join(message.split())}; see `{self.prog} --help`", file=sys.stderr)
-        raise SystemExit(2)
+        """Tell of the mistake and where help is."""
+        raise InputError(f"{message}; see `{self.prog} --help`")
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -33,15 +32,11 @@ def main(argv: list[str] | None = None) -> int:
         Exit code, 0 for success.
 
     Raises:
-        SystemExit: code 2 after one line on stderr, for a user's mistake; code 0 after `--help` or `--version`.
+        SystemExit: code 2 after one line on stderr, for a user's mistake; code 130 after Ctrl-C; code 0 after `--help` or `--version`.
     """
-    arguments = build_parser().parse_args(argv)
     with exit_on_input_error():
-        try:
-            return arguments.run(arguments) or 0
-        except KeyboardInterrupt:
-            print("stopped; the same command goes on where it was", file=sys.stderr)
-            return 130
+        arguments = build_parser().parse_args(argv)
+        return arguments.run(arguments) or 0
 
 
 def build_parser() -> argparse.ArgumentParser:

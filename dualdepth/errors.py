@@ -47,13 +47,19 @@ def reading(path: str | Path, mend: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def exit_on_input_error() -> Iterator[None]:
-    """Turn an `InputError`, or a file that may not be touched, into one line on stderr and exit code 2, for commands and scripts."""
+    """Turn an `InputError`, or a file that may not be touched, into one line on stderr and exit code 2, for commands and scripts.
+
+    Ctrl-C is one line, too, and exit code 130.
+    """
     try:
         yield
     except InputError as error:
         message = " ".join(str(error).split())
     except PermissionError as error:
         message = f"{error.filename}: {error.strerror}; change its permissions, or give another place"
+    except KeyboardInterrupt:
+        print("stopped; the same command goes on where it was", file=sys.stderr)
+        raise SystemExit(130) from None
     else:
         return
     print(f"error: {message}", file=sys.stderr)
