@@ -1,4 +1,4 @@
-"""The paper's published numbers, its training recipe and its inner oddities, as data.
+"""The paper's published numbers and its inner oddities, as data; its training recipe is the default of `settings.py`.
 
 Every table has the paper's rows in its order with all columns; `source` is "paper". A number the paper does not give is NaN.
 """
@@ -84,19 +84,7 @@ _TABLES = {  # by name, as of the files in `results/<profile>/tables`
     "odometry": (("method", *_ATE, "frames"), _ODOMETRY),
 }
 
-RECIPE = {
-    "epochs": (40, 40),
-    "batch_size": 4,
-    "beta1": 0.9,
-    "beta2": 0.999,
-    "learning_rates": ((10, 2e-4), (20, 1e-4), (40, 5e-5)),
-    "hr_size": (384, 1248),
-    "lr_size": (128, 416),
-    "scales": (1, 2, 4, 8),
-    "alpha": 0.85,
-}
-"""Sections "Implementation Details", "Dual Network Architecture" and "Loss": epochs of both stages, the last epoch of each learning
-rate, (height, width) in pixels, divisors of the input size, share of SSIM. The weights of the losses are not given."""
+HR_SIZE, LR_SIZE = (384, 1248), (128, 416)  # (height, width) of the networks' inputs (section "Dual Network Architecture").
 
 ODDITIES = (
     "The ResNet18 row and the row without ImageNet pretraining share all three δ values to the last digit although their errors differ:"

@@ -99,5 +99,3 @@ def test_recipe_stands_in_the_text():
         r"$\alpha$ is set to 0.85",
     ):
         assert words in text
-    assert paper.RECIPE["learning_rates"] == ((10, 0.0002), (20, 0.0001), (40, 0.00005))
-    assert [3 * side for side in paper.RECIPE["lr_size"]] == list(paper.RECIPE["hr_size"])

@@ -39,7 +39,7 @@ def cost_row(name: str, repeats: int) -> dict[str, Any]:
     options = {"with_lr_depth": True} if architecture.network == "dual" and name != WITHOUT_DECODER else {}
     if name == WITHOUT_DECODER:
         net.lr_net.decoder = nn.Identity()
-    image = torch.rand(1, 3, *paper.RECIPE["lr_size" if architecture.sees_low_resolution else "hr_size"])
+    image = torch.rand(1, 3, *(paper.LR_SIZE if architecture.sees_low_resolution else paper.HR_SIZE))
     cost, where = count(net, image, **options), default_device()
     net, image = net.to(where, memory_format=torch.channels_last), image.to(where)
     row: dict[str, Any] = {"params_m": cost.params / 1e6, "gmacs": cost.macs / 1e9, "device": device_name()}
