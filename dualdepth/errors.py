@@ -4,7 +4,6 @@ import contextlib
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 
 class InputError(Exception):
@@ -19,12 +18,6 @@ class InputError(Exception):
     ...     print(error)
     nowhere.safetensors: no such weights; give model.safetensors of a training, its folder, or a name on the model hub
     """
-
-
-def first_mistake(error: Any) -> str:
-    """Where and what the first mistake of a pydantic `ValidationError` is, and the value found, cut to 60 characters."""
-    first = error.errors(include_url=False)[0]
-    return f"{'.'.join(map(str, first['loc']))}: {first['msg']}, found {first['input']!r:.60}".removeprefix(": ")
 
 
 @contextlib.contextmanager

@@ -16,7 +16,7 @@ from tqdm import tqdm
 from dualdepth.data.frames import resample
 from dualdepth.data.kitti import read_image
 from dualdepth.device import Precision, choose_device, inference_precision
-from dualdepth.errors import InputError, first_mistake
+from dualdepth.errors import InputError
 from dualdepth.evaluation.depth import resize_bilinear
 from dualdepth.geometry import low_resolution, pose_matrix, to_unit
 from dualdepth.networks import PoseEncoder
@@ -258,17 +258,16 @@ def tensor_of(image: np.ndarray, size: tuple[int, int]) -> Tensor:
 
 
 def _of_card(card: dict[str, Any], source: object, *needed: str) -> _Card:
-    """The network that a card names, all `needed` words of it, and the size of its images.
-
-    Raises:
-        InputError: it names none; the message begins with `source`.
-    """
+    """The network that a card names, all `needed` words of it, and the size of its images; an `InputError` begins with `source`."""
     try:
         if missing := [name for name in ("network", "hr_size", *needed) if name not in card]:
             raise ValueError(f"{missing[0]} is missing")
         return _Card.model_validate(card)
     except ValueError as error:
-        wrong = first_mistake(error) if isinstance(error, ValidationError) else error
+        wrong: object = error
+        if isinstance(error, ValidationError):
+            first = error.errors(include_url=False)[0]
+            wrong = f"{'.'.join(map(str, first['loc']))}: {first['msg']}, found {first['input']!r:.60}".removeprefix(": ")
         raise InputError(f"{source}: names no network of this project ({wrong}); keep the card that was written with it") from None
 
 

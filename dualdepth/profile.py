@@ -114,7 +114,7 @@ class Profile(Settings):
         try:
             profile = type(self).model_validate(values | {"train": {"lr": None}})
         except ValidationError as error:
-            raise InputError(f"variant {name}: {_explain(error)}") from None
+            raise InputError(f"variant {name}: {'; '.join(map(_mistake, error.errors()))}") from None
         if self.variant(name).stage == "hr" and not profile.training.augmentation.augment_first:
             raise InputError(f"variant {name}: training.augmentation.augment_first must be true at high resolution")
         return profile
@@ -149,7 +149,8 @@ def load_profile(name: str) -> Profile:
     try:
         return Profile.model_validate({str(key): value for key, value in values.items()} | {"name": path.stem})
     except (ValidationError, InputError) as error:
-        raise InputError(f"{path}: {_explain(error) if isinstance(error, ValidationError) else error}") from None
+        said = "; ".join(map(_mistake, error.errors())) if isinstance(error, ValidationError) else error
+        raise InputError(f"{path}: {said}") from None
 
 
 def _read(name: str) -> tuple[Path, dict[str, Any]]:
@@ -180,10 +181,6 @@ def _laid_over(base: dict[str, Any], change: dict[str, Any]) -> dict[str, Any]:
         for k, v in change.items()
     }
     return base | merged
-
-
-def _explain(error: ValidationError) -> str:
-    return "; ".join(_mistake(each) for each in error.errors())
 
 
 def _mistake(error: Any) -> str:

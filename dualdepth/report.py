@@ -2,7 +2,6 @@
 
 import base64
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -65,11 +64,8 @@ def make_report(run: Run) -> Report:
     if judged == "none":
         claims["verdict"] = claims["verdict"].where(claims["verdict"] == NOT_RUN, "not judged")
     where, words = "of a synthetic world, not of KITTI" if run.profile.world else "of a small training", _WORDS["cautions"][judged]
-    caution = f"These are numbers {where}: {words}" if words else ""
-    if caution and run.profile.training.beyond_paper_residual:
-        caution += f" {_WORDS['residual']}"
-    if caution and run.profile.training.beyond_paper_pose_encoder:
-        caution += f" {_WORDS['pose_encoder']}"
+    beyond = [_WORDS[name] for name in ("residual", "pose_encoder") if getattr(run.profile.training, f"beyond_paper_{name}")]
+    caution = " ".join([f"These are numbers {where}: {words}", *beyond]) if words else ""
     if not run.profile.data.has_truth:
         caution = "An own camera has no ground truth: nothing is scored and nothing is judged. What was learned shows in the pictures."
     if leaks:
@@ -81,8 +77,8 @@ def make_report(run: Run) -> Report:
     stamps += [path.with_suffix(".json") for path in figures.values()]
     more = {name: read[name] for name in ("odometry_trajectories", "odometry_motions", "odometry_claims") if name in read}
     chosen = assumptions(run.profile.training.loss)
-    said = headline(tables["main"])
-    return Report(run, said, caution, claims, numbers, tables, more, _provenance(run, stamps), figures, chosen)
+    said, provenance = headline(tables["main"]), pd.DataFrame([_provenance(run, path) for path in stamps])
+    return Report(run, said, caution, claims, numbers, tables, more, provenance, figures, chosen)
 
 
 def headline(main: pd.DataFrame) -> str:
@@ -111,25 +107,21 @@ def first_look(run: Run) -> str:
     return f"{headline(pd.read_csv(table))}\n{where}"
 
 
-def _provenance(run: Run, stamps: Sequence[Path]) -> pd.DataFrame:
-    rows = []
-    for path in stamps:
-        stamp = json.loads(path.read_text(encoding="utf-8"))
-        inputs = {Path(k).as_posix().removeprefix(f"work/{run.profile.name}/"): (v or "")[:8] for k, v in stamp["inputs_sha256"].items()}
-        rows.append(
-            {
-                "result": f"{path.parent.name}/{path.stem}",
-                "revision": stamp["revision"][:10] + (" and changes" if stamp["dirty"] else ""),
-                "profile": f"{stamp['profile']} {stamp['profile_sha256'][:8]}",
-                "lock": (stamp["lock_sha256"] or "")[:8],
-                "seeds": " ".join(map(str, stamp.get("seeds", []))),
-                "device": stamp["device"],
-                "seconds": stamp["seconds"],
-                "made": stamp["made"],
-                "inputs": ", ".join(f"{k} {v}" for k, v in inputs.items()),
-            }
-        )
-    return pd.DataFrame(rows)
+def _provenance(run: Run, path: Path) -> dict[str, Any]:
+    """What a stamp says, as the page shows it."""
+    stamp = json.loads(path.read_text(encoding="utf-8"))
+    inputs = {Path(k).as_posix().removeprefix(f"work/{run.profile.name}/"): (v or "")[:8] for k, v in stamp["inputs_sha256"].items()}
+    return {
+        "result": f"{path.parent.name}/{path.stem}",
+        "revision": stamp["revision"][:10] + (" and changes" if stamp["dirty"] else ""),
+        "profile": f"{stamp['profile']} {stamp['profile_sha256'][:8]}",
+        "lock": (stamp["lock_sha256"] or "")[:8],
+        "seeds": " ".join(map(str, stamp.get("seeds", []))),
+        "device": stamp["device"],
+        "seconds": stamp["seconds"],
+        "made": stamp["made"],
+        "inputs": ", ".join(f"{k} {v}" for k, v in inputs.items()),
+    }
 
 
 def footnotes(table: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
