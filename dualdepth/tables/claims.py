@@ -124,7 +124,7 @@ def _judge(tables: dict[str, pd.DataFrame], claim: Claim, metric: str) -> tuple[
     table = tables.get(f"{claim.table}_claims", pd.DataFrame(columns=["a", "b", "of", "metric"], dtype=object))
     # the PoseNets that are scored on KITTI have trainings of their own
     pairs = zip(table["a"].str.removeprefix("odometry_"), table["b"].str.removeprefix("odometry_"))
-    rows = table[[pair in ((claim.a, claim.b), claim.instead) for pair in pairs]]
+    rows = table[np.array([pair in ((claim.a, claim.b), claim.instead) for pair in pairs], bool)]
     rows = rows[rows["of"].astype(object).fillna("").eq(claim.of)] if claim.of else rows
     rows = rows[rows["metric"].astype(object).fillna("").isin([metric, ""])]
     if rows.empty:
