@@ -58,18 +58,13 @@ def predict(sums: np.ndarray, baseline: str, size: tuple[int, int]) -> np.ndarra
     return cv2.resize(mean_depth(sums, baseline), size[::-1], interpolation=cv2.INTER_LINEAR)
 
 
-def leave_one_drive_out(
-    maps: Sequence[np.ndarray], drives: Sequence[str], baseline: str, *, grid: tuple[int, int] = GRID, max_depth: float
-) -> list[np.ndarray]:
+def leave_one_drive_out(maps: Sequence[np.ndarray], drives: Sequence[str], baseline: str, *, max_depth: float) -> list[np.ndarray]:
     """Predict each map from the maps of all the other drives, where there are no separate training frames.
 
     Of maps (H, W) and the drive of each, as in `Frame.drive`, two drives or more; the rest is as for `depth_sums` and `mean_depth`.
     Predictions have the maps' sizes, in metres; those of one drive and size share one array.
     """
-    of_drive = {
-        drive: depth_sums((depth for depth, its in zip(maps, drives) if its == drive), grid=grid, max_depth=max_depth)
-        for drive in dict.fromkeys(drives)
-    }
+    of_drive = {d: depth_sums((m for m, its in zip(maps, drives) if its == d), max_depth=max_depth) for d in dict.fromkeys(drives)}
     others = {drive: sum(of_drive.values()) - sums for drive, sums in of_drive.items()}
     wanted = [(drive, depth.shape) for drive, depth in zip(drives, maps)]
     predictions = {(drive, size): predict(others[drive], baseline, size) for drive, size in set(wanted)}

@@ -4,7 +4,6 @@ import copy
 import itertools
 import statistics
 import timeit
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import torch
@@ -56,23 +55,17 @@ def latency(model: torch.nn.Module, *inputs: torch.Tensor, repeats: int = 10, pr
 
     model.eval()
     with torch.inference_mode(), torch.autocast(device.type, torch.bfloat16, enabled=precision == "bf16"):
-        extra = _cuda_peak(run, device) if device.type == "cuda" else _cpu_peak(run)
+        if device.type == "cuda":
+            before = torch.cuda.memory_allocated(device)
+            torch.cuda.reset_peak_memory_stats(device)
+            run()
+            extra = torch.cuda.max_memory_allocated(device) - before
+        else:  # the highest sum of what torch's profiler saw allocated and freed; libraries' own scratch memory is not in it
+            with torch.profiler.profile(activities=[torch.profiler.ProfilerActivity.CPU], profile_memory=True) as profile:
+                run()
+            changes = [event for event in profile.profiler.kineto_results.events() if event.name() == "[memory]"]
+            changes.sort(key=lambda event: event.start_ns())
+            extra = max(itertools.accumulate(event.nbytes() for event in changes), default=0)
         times = timeit.repeat(run, number=1, repeat=repeats)
     held = sum(value.numel() * value.element_size() for value in (*model.parameters(), *model.buffers(), *inputs))
     return Latency(statistics.median(times) * 1e3, (held + extra) / 1e6)
-
-
-def _cuda_peak(run: Callable[[], object], device: torch.device) -> int:
-    """Bytes that one inference allocates at most, on top of what is there."""
-    before = torch.cuda.memory_allocated(device)
-    torch.cuda.reset_peak_memory_stats(device)
-    run()
-    return torch.cuda.max_memory_allocated(device) - before
-
-
-def _cpu_peak(run: Callable[[], object]) -> int:
-    """The same on the CPU: the highest sum of what torch's profiler saw allocated and freed; libraries' own scratch memory is not in it."""
-    with torch.profiler.profile(activities=[torch.profiler.ProfilerActivity.CPU], profile_memory=True) as profile:
-        run()
-    changes = [event for event in profile.profiler.kineto_results.events() if event.name() == "[memory]"]
-    return max(itertools.accumulate(event.nbytes() for event in sorted(changes, key=lambda event: event.start_ns())), default=0)

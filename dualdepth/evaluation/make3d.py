@@ -43,13 +43,6 @@ def visible(photo: np.ndarray, convention: str) -> np.ndarray:
     return photo[top : top + width // 2]
 
 
-def on_grid(prediction: np.ndarray, convention: str) -> np.ndarray:
-    """Prediction (h, w) of what is `visible`, at the scored cells of the laser grid, (21, 305)."""
-    rows = GRID_SHAPE[0] if convention == "whole" else ROWS.stop - ROWS.start
-    cells = cv2.resize(prediction, (GRID_SHAPE[1], rows), interpolation=cv2.INTER_NEAREST)
-    return cells[ROWS] if convention == "whole" else cells
-
-
 def c1_errors(ground_truth: np.ndarray, prediction: np.ndarray) -> dict[str, float]:
     """`METRICS` of paired depths (P,) in metres."""
     digits = np.log10(ground_truth) - np.log10(prediction)
@@ -74,7 +67,8 @@ def evaluate_make3d(
     Raises:
         InputError: the numbers differ, a prediction is not finite and positive, or no photo has a valid cell.
     """
-    cells = [on_grid(prediction, convention) for prediction in predictions]
+    shape, scored = (GRID_SHAPE, ROWS) if convention == "whole" else ((ROWS.stop - ROWS.start, GRID_SHAPE[1]), np.s_[:])
+    cells = [cv2.resize(prediction, shape[::-1], interpolation=cv2.INTER_NEAREST)[scored] for prediction in predictions]
     truths = [np.asarray(grid[ROWS], np.float64) for grid in grids]
     required = f"a cell between 0 and {FARTHEST:g} m in rows 17:38"
     protocol = {"crop": "none", "min_depth": NEAREST, "max_depth": FARTHEST, "median_scaling": median_scaling}

@@ -37,15 +37,13 @@ def in_regions(label_map: Callable[[int], np.ndarray], names: Sequence[object]) 
     return parts
 
 
-def class_errors(
-    depth: np.ndarray, truth: np.ndarray, labels: np.ndarray, classes: Sequence[int], *, max_depth: float
-) -> dict[str, float] | None:
-    """The seven metrics over the pixels of some classes, with their number as `valid_pixels`; None where there are none.
+def pole_errors(depth: np.ndarray, truth: np.ndarray, labels: np.ndarray, *, max_depth: float) -> dict[str, float] | None:
+    """The seven metrics over the pixels of poles, with their number as `valid_pixels`; None where there are none.
 
     Of maps (H, W): depth in metres, positive and scaled already; truth in metres, 0 where there is none, which counts below `max_depth`;
     labels, training ids.
     """
-    chosen = np.isin(labels, classes) & (truth > 0) & (truth < max_depth)
+    chosen = (labels == POLE) & (truth > 0) & (truth < max_depth)
     if not chosen.any():
         return None
     return errors(truth[chosen].astype(np.float64), depth[chosen].astype(np.float64)) | {"valid_pixels": int(chosen.sum())}

@@ -9,7 +9,7 @@ import pandas as pd
 
 from dualdepth import paper
 from dualdepth.evaluation.depth import METRICS, resize_bilinear
-from dualdepth.evaluation.parts import POLE, class_errors
+from dualdepth.evaluation.parts import pole_errors
 from dualdepth.evaluation.sharpness import boundary_scores, tenengrad
 from dualdepth.run import Run
 from dualdepth.tables.rows import MEASURED, comparisons, method_row, not_run, over_seeds, paired, with_paper
@@ -90,7 +90,7 @@ def detail_scores(run: Run, seeds: Sequence[int]) -> tuple[Scores, Scores]:
         found = {}
         for image in training.scores.index:
             exact, labels = frames.exact_depth(image), frames.label_map(image)
-            found[image] = class_errors(training.depth(image, exact.shape), exact, labels, [POLE], max_depth=farthest)
+            found[image] = pole_errors(training.depth(image, exact.shape), exact, labels, max_depth=farthest)
         return _by_image({image: errors for image, errors in found.items() if errors}, [*METRICS, "valid_pixels"])
 
     return collect(run, DETAILED, seeds, boundaries, reason=reason), collect(run, DETAILED, seeds, poles, reason=reason)

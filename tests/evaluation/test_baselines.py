@@ -6,7 +6,7 @@ import pytest
 from dualdepth.data.kitti import read_frame_list
 from dualdepth.data.lidar import ground_truth
 from dualdepth.errors import InputError
-from dualdepth.evaluation.baselines import depth_sums, leave_one_drive_out, mean_depth, predict
+from dualdepth.evaluation.baselines import GRID, depth_sums, leave_one_drive_out, mean_depth, predict
 from dualdepth.evaluation.depth import evaluate, summary
 
 SPARSE = [
@@ -38,11 +38,11 @@ def test_leaving_a_drive_out_equals_fitting_on_the_others(baseline):
     shapes = [(12, 16), (12, 16), (10, 16), (12, 16), (12, 18)]
     maps = [np.where(rng.random(s) < 0.5, rng.uniform(1, 79, s), 0) for s in shapes]
     drives = ["a", "b", "a", "c", "b"]
-    left_out = leave_one_drive_out(maps, drives, baseline, grid=(6, 8), max_depth=80)
+    left_out = leave_one_drive_out(maps, drives, baseline, max_depth=80)
     for depth, drive, prediction in zip(maps, drives, left_out):
         others = [m for m, d in zip(maps, drives) if d != drive]
         assert prediction.shape == depth.shape and prediction.dtype == np.float32 and prediction.min() > 0
-        np.testing.assert_allclose(prediction, predict(sums_of(others, (6, 8)), baseline, depth.shape), rtol=1e-6)
+        np.testing.assert_allclose(prediction, predict(sums_of(others, GRID), baseline, depth.shape), rtol=1e-6)
 
 
 def test_baselines_refuse_what_they_cannot_fit():

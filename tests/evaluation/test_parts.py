@@ -7,7 +7,7 @@ from slow_metrics import slow_metrics
 
 from dualdepth.errors import InputError
 from dualdepth.evaluation.depth import evaluate_parts
-from dualdepth.evaluation.parts import POLE, REGIONS, class_errors, in_regions, near_and_far
+from dualdepth.evaluation.parts import REGIONS, in_regions, near_and_far, pole_errors
 
 NEAR, FAR = "<= 20 m", "> 20 m"
 ROAD, GREEN = "Road", "Tree & grass"
@@ -91,12 +91,12 @@ def test_label_maps_of_another_size_and_images_without_a_region_are_refused():
         evaluate_regions([depth], [depth], [labels + 2])
 
 
-def test_only_pixels_of_the_class_with_truth_in_range_count():
-    labels = np.array([[5, 7, 5, 5, 5, 0, 8]], np.uint8)
-    truth = np.array([[10, 20, 0, 80, 100, 10, 10]], np.float32)  # a pole and a sign in range; none known; at the limit; beyond it
+def test_only_pixels_of_poles_with_truth_in_range_count():
+    labels = np.array([[5, 5, 5, 5, 5, 7, 8]], np.uint8)
+    truth = np.array([[10, 20, 0, 80, 100, 10, 10]], np.float32)  # two poles in range; none known; at the limit; beyond it
     depth = np.array([[12, 15, 9, 9, 9, 99, 50]], np.float32)
-    found = class_errors(depth, truth, labels, [POLE, 7], max_depth=80)
-    assert found["valid_pixels"] == 2  # of both classes together
+    found = pole_errors(depth, truth, labels, max_depth=80)
+    assert found["valid_pixels"] == 2
     assert found["abs_rel"] == pytest.approx((2 / 10 + 5 / 20) / 2)
     assert found["rmse"] == pytest.approx(np.sqrt((4 + 25) / 2)) and found["a1"] == 0.5
-    assert class_errors(depth, truth, labels + 10, [POLE, 7], max_depth=80) is None
+    assert pole_errors(depth, truth, labels + 10, max_depth=80) is None
