@@ -285,12 +285,15 @@ def _predict(arguments: argparse.Namespace) -> int:
     from dualdepth.device import keep_freed_memory
     from dualdepth.files import check_writable
     from dualdepth.inference.files import find_inputs, predict_files
-    from dualdepth.inference.results import Style, parse_kinds
+    from dualdepth.inference.results import SUFFIXES, Style
     from dualdepth.model import RELEASED, load
 
     if arguments.intrinsics and min(arguments.intrinsics[:2]) <= 0:
         raise InputError(f"--intrinsics {arguments.intrinsics}: the focal lengths must be positive")
-    kinds, paths = parse_kinds(arguments.save), find_inputs(arguments.inputs)
+    kinds = tuple(dict.fromkeys(SUFFIXES if arguments.save == "all" else arguments.save.split(",") if arguments.save else ()))
+    if unknown := [kind for kind in kinds if kind not in SUFFIXES]:
+        raise InputError(f"--save {unknown[0]!r} is unknown: choose some of {', '.join(SUFFIXES)}, with commas, or all")
+    paths = find_inputs(arguments.inputs)
     keep_freed_memory()
     model = load(arguments.weights or RELEASED, arguments.device, arguments.precision)
     check_writable(arguments.out)

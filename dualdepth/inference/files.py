@@ -38,14 +38,7 @@ WORKERS = min(8, os.cpu_count() or 1)  # Threads that read, draw and write.
 
 
 def predict_files(
-    paths: Sequence[Path],
-    out: Path,
-    model: DepthModel,
-    style: Style,
-    *,
-    kinds: Sequence[str] = (),
-    batch_size: int | None = None,
-    overwrite: bool = False,
+    paths: Sequence[Path], out: Path, model: DepthModel, style: Style, *, kinds: Sequence[str], batch_size: int | None, overwrite: bool
 ) -> bool:
     """Write what is predicted of files into a folder, say what comes of it, and keep results that are newer than what they are made of.
 
@@ -134,7 +127,12 @@ def plan(paths: Sequence[Path], out: Path, options: dict[str, str], kinds: Seque
 
     `STAMP` is written into `out`; the other arguments are those of `predict_files`.
     """
-    before, since, inputs = _read_stamp(out / STAMP)
+    try:
+        stamp: dict[str, Any] = json.loads((out / STAMP).read_text(encoding="utf-8"))
+        inputs = {name: {key: entry[key] for key in ("path", "changed", "since")} for name, entry in stamp["inputs"].items()}
+        before, since = dict(stamp["options"]), int(stamp["since"])
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):  # there is none that can be read
+        before, since, inputs = {}, 0, {}
     if before != options:
         if changed := [name for name in options if before and before.get(name) != options[name]]:
             print(f"{out}: its results were made with other {', '.join(changed)}; they are made again")
@@ -150,16 +148,6 @@ def plan(paths: Sequence[Path], out: Path, options: dict[str, str], kinds: Seque
         tasks.append(task._replace(kinds=tuple(kind for kind in wanted if overwrite or _changed(out / task.file(kind)) <= latest)))
     write_text(out / STAMP, json.dumps({"options": options, "since": since, "inputs": inputs}, indent=1) + "\n")
     return tasks
-
-
-def _read_stamp(path: Path) -> tuple[dict[str, str], int, dict[str, dict[str, Any]]]:
-    """Options, since when, and inputs by the names of their results; nothing where there is no stamp that can be read."""
-    try:
-        stamp: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        inputs = {name: {key: entry[key] for key in ("path", "changed", "since")} for name, entry in stamp["inputs"].items()}
-        return dict(stamp["options"]), int(stamp["since"]), inputs
-    except (OSError, ValueError, TypeError, KeyError, AttributeError):
-        return {}, 0, {}
 
 
 def _name(path: Path, inputs: dict[str, dict[str, Any]]) -> str:

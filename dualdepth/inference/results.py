@@ -11,7 +11,6 @@ import PIL.Image
 import PIL.PngImagePlugin
 
 from dualdepth.data.camera import Camera, centred_camera, focal_length
-from dualdepth.errors import InputError
 from dualdepth.files import atomic_path
 
 SUFFIXES = {"colour": ".colour.png", "depth": ".depth.png", "side": ".side.png", "npy": ".depth.npy", "ply": ".ply"}
@@ -52,18 +51,6 @@ class Style(NamedTuple):
     def unit(self) -> str:
         """What a number in a result is."""
         return "relative depth" if self.scale == 1 else f"relative depth x{self.scale:g}"
-
-
-def parse_kinds(words: str | None) -> tuple[str, ...]:
-    """Kinds of results, each once, of words with commas between, or `all`; none of None.
-
-    Raises:
-        InputError: a kind is unknown.
-    """
-    kinds = tuple(dict.fromkeys(SUFFIXES if words == "all" else words.split(",") if words else ()))
-    if unknown := [kind for kind in kinds if kind not in SUFFIXES]:
-        raise InputError(f"--save {unknown[0]!r} is unknown: choose some of {', '.join(SUFFIXES)}, with commas, or all")
-    return kinds
 
 
 def save(kind: str, path: Path, image: np.ndarray, depth: np.ndarray, style: Style, ends: np.ndarray | None = None) -> None:
