@@ -96,16 +96,6 @@ def detail_scores(run: Run, seeds: Sequence[int]) -> tuple[Scores, Scores]:
     return collect(run, DETAILED, seeds, boundaries, reason=reason), collect(run, DETAILED, seeds, poles, reason=reason)
 
 
-def ceiling(run: Run, size: tuple[int, int]) -> pd.DataFrame:
-    """Boundary scores of exact depth itself, shrunk to a network's size and enlarged again: what that size could reach at best."""
-    rows = {}
-    for image in range(len(scored(run).frames)):
-        exact = below_sky(run, image)
-        shrunk = 1 / cv2.resize(1 / exact, size[::-1], interpolation=cv2.INTER_AREA)
-        rows[image] = boundary_scores(resize_bilinear(shrunk, exact.shape), exact)
-    return _by_image(rows)
-
-
 def below_sky(run: Run, image: int) -> np.ndarray:
     """Exact depth (H, W) of a scored frame; the sky counts as the farthest depth."""
     exact, farthest = scored(run).exact_depth(image), run.profile.evaluation.max_depth
@@ -121,7 +111,12 @@ def detail_table(run: Run, boundaries: Scores, poles: Scores) -> pd.DataFrame:
         rows.append(row | {f"pole_{k}": of_poles[k] for k in ("abs_rel", "abs_rel_std", "a1", "a1_std", "n") if k in of_poles})
     sizes = (run.profile.data.lr_size, run.profile.data.hr_size)
     for size in sizes if run.profile.world else ():
-        values = over_seeds(pd.concat({0: ceiling(run, size)}, names=["seed"]), BOUNDARY_COLUMNS)
+        reached = {}  # by exact depth itself, shrunk to a network's size and enlarged again
+        for image in range(len(scored(run).frames)):
+            exact = below_sky(run, image)
+            shrunk = 1 / cv2.resize(1 / exact, size[::-1], interpolation=cv2.INTER_AREA)
+            reached[image] = boundary_scores(resize_bilinear(shrunk, exact.shape), exact)
+        values = over_seeds(pd.concat({0: _by_image(reached)}, names=["seed"]), BOUNDARY_COLUMNS)
         note = "no network: exact depth shrunk to this size, so the best that it could reach"
         rows.append({"method": f"exact depth at {size[0]}x{size[1]}", **values, "source": MEASURED, "note": note})
     renamed = {f"{c}{end}": f"boundary_{c}{end}" for c in BOUNDARY_COLUMNS for end in ("", "_std")}
