@@ -25,11 +25,7 @@ from dualdepth.profile import load_profile
 
 
 def main(argv: Sequence[str] | None = None, *, kitti_home: str = sources.KITTI_HOME, lists_home: str = sources.LISTS_HOME) -> None:
-    """Run the command line. Other homes than the public ones are for tests.
-
-    Raises:
-        SystemExit: code 2, after one line on stderr, for bad input, a failed download, a full disk.
-    """
+    """Run the command line; bad input, a failed download or a full disk is one line on stderr and exit code 2. Other homes: for tests."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add = parser.add_argument
     add("drives", nargs="*", metavar="DRIVE", help="raw drives like 2011_09_26/2011_09_26_drive_0095_sync")

@@ -42,10 +42,9 @@ def check_content(archive: Archive, path: Path, folder: Path) -> dict[str, Any]:
 
 
 def main(argv: Sequence[str] | None = None, *, home: str = MAKE3D_HOME) -> None:
-    """Run the command line. Another home than the public one is for tests.
+    """Run the command line; a failed download, a damaged archive or a full disk is one line on stderr and exit code 2.
 
-    Raises:
-        SystemExit: code 2, after one line on stderr, for a failed download, a damaged archive, a full disk, or photos without grids.
+    Another home than the public one is for tests.
     """
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--root", required=True, type=Path, metavar="DIR", help="folder to fill, then given as MAKE3D_ROOT")

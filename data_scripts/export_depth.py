@@ -46,11 +46,7 @@ def depth_maps(frames: Sequence[Frame], read: Callable[[Frame], np.ndarray]) -> 
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Run the command line.
-
-    Raises:
-        SystemExit: code 2, after one line on stderr, for bad input.
-    """
+    """Run the command line; bad input is one line on stderr and exit code 2."""
     parser = argparse.ArgumentParser(description="Write the ground-truth depth of KITTI raw frames to one npz file.")
     parser.add_argument("--kitti", metavar="ROOT", help="folder that holds 2011_09_26, 2011_09_28, …; needed unless --improved is given")
     parser.add_argument("--list", required=True, metavar="FILE", help="lines like `2011_09_26/2011_09_26_drive_0052_sync 0000000000 l`")

@@ -157,11 +157,7 @@ def height_width(text: str) -> tuple[int, int]:
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Run the command line.
-
-    Raises:
-        SystemExit: code 2, after one line on stderr, for bad input.
-    """
+    """Run the command line; bad input is one line on stderr and exit code 2."""
     parser = argparse.ArgumentParser(description="Write Cityscapes label maps of KITTI raw images with a pretrained segmentation model.")
     add = parser.add_argument
     add("--kitti", required=True, metavar="ROOT", help="folder that holds 2011_09_26, 2011_09_28, …")

@@ -35,8 +35,18 @@ def find_data(
         given = [name.upper() for name, value in {"kitti_root": kitti_root, "test_list": test_list, **others}.items() if value]
         if given:
             raise InputError(f"profile {run.profile.name} makes its own data: {' and '.join(given)} belong to sample, paper or your own")
-        make_miniature.make_world(run.profile.world, run.work / "miniature")
-        sources = world_sources(run.work / "miniature")
+        root = run.work / "miniature"
+        make_miniature.make_world(run.profile.world, root)
+        sources = Sources(
+            kitti_root=root / "kitti_raw",
+            test_list=root / "lists/test_files.txt",
+            train_drives=tuple((root / "lists/train_drives.txt").read_text(encoding="utf-8").split()),
+            static_frames=root / "lists/static_frames.txt",
+            test_scenes=root / "lists/test_scenes.txt",
+            odometry_root=root / "kitti_odometry",
+            make3d_root=root / "make3d",
+            labels_root=root / "labels",
+        )
     else:
         sources = kitti_sources(run, kitti_root, test_list) if run.profile.data.has_truth else own_sources(run, kitti_root, test_list)
         check_roots(others)
@@ -44,21 +54,6 @@ def find_data(
     sources = sources._replace(allow_leak=allow_leak)
     sources.save(run)
     return sources
-
-
-def world_sources(root: Path) -> Sources:
-    """Sources of a synthetic world."""
-    lists = root / "lists"
-    return Sources(
-        kitti_root=root / "kitti_raw",
-        test_list=lists / "test_files.txt",
-        train_drives=tuple((lists / "train_drives.txt").read_text(encoding="utf-8").split()),
-        static_frames=lists / "static_frames.txt",
-        test_scenes=lists / "test_scenes.txt",
-        odometry_root=root / "kitti_odometry",
-        make3d_root=root / "make3d",
-        labels_root=root / "labels",
-    )
 
 
 def own_sources(run: Run, root: str, test_list: str) -> Sources:

@@ -21,16 +21,7 @@ from tqdm import tqdm
 from data_scripts.export_depth import depth_maps
 from data_scripts.find_data import find_data
 from dualdepth.data.depth_maps import save_ground_truth
-from dualdepth.data.kitti import (
-    Frame,
-    check_root,
-    image_path,
-    read_frame_list,
-    read_image,
-    read_static_frames,
-    read_test_scenes,
-    velodyne_path,
-)
+from dualdepth.data.kitti import Frame, image_path, read_frame_list, read_image, read_static_frames, read_test_scenes, velodyne_path
 from dualdepth.data.label_maps import label_path
 from dualdepth.data.lidar import ground_truth
 from dualdepth.data.odometry import check_odometry_root, frame_files, odometry_triplets, poses_path, sequence_of
@@ -131,7 +122,7 @@ def training_targets(run: Run, sources: Sources) -> list[Frame]:
     Raises:
         InputError: frames are missing (all in one message), a training drive is a test drive, or nothing is left.
     """
-    data, root = run.profile.data, check_root(sources.kitti_root)
+    data, root = run.profile.data, sources.kitti_root
     if not sources.train_list:
         static = read_static_frames(sources.static_frames) if sources.static_frames else set()
         scenes = read_test_scenes(sources.test_scenes) if sources.test_scenes else set()
