@@ -1,15 +1,19 @@
-"""The command `dualdepth`: what each subcommand takes, and the functions that it calls; these are imported when they are called."""
+"""The command `dualdepth`: what each subcommand takes, and the functions that it calls; what is slow to import is imported when called."""
 
 import argparse
+import json
 import math
 import sys
 from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from dualdepth import __version__
+from dualdepth.device import is_main_process, keep_freed_memory
 from dualdepth.errors import InputError, exit_on_input_error
-from dualdepth.run import add_roots
+from dualdepth.files import check_writable, write_json
+from dualdepth.run import ROOTS, Run, add_roots
 
 PROFILE = "tiny, miniature, claims, sample, paper, own, or a YAML file (default: %(default)s)"
 
@@ -41,27 +45,18 @@ def main(argv: list[str] | None = None) -> int:
 
 def build_parser() -> argparse.ArgumentParser:
     """The parser with all subcommands; each sets `run`, a function of the parsed arguments that returns the exit code, or None for 0."""
-    parser = OneLineParser(prog="dualdepth", description="Dual networks for high-resolution depth from videos (ICCV 2019), replicated.")
-    parser.add_argument("--version", action="version", version=f"dualdepth {__version__}")
-    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    program = OneLineParser(prog="dualdepth", description="Dual networks for high-resolution depth from videos (ICCV 2019), replicated.")
+    program.add_argument("--version", action="version", version=f"dualdepth {__version__}")
+    commands = program.add_subparsers(title="commands", metavar="COMMAND", required=True)
     evaluate = commands.add_parser("evaluate", help="score predictions by the field's protocols")
     kinds = evaluate.add_subparsers(title="what to evaluate", metavar="KIND", required=True)
-    for place, name, add_options, run, meaning in (
-        (kinds, "depth", _depth_options, _evaluate_depth, "the seven depth metrics of a prediction file"),
-        (kinds, "odometry", _odometry_options, _evaluate_odometry, "errors of a camera trajectory against the true one"),
-        (commands, "reproduce", _reproduce_options, _reproduce, "run all notebooks of a profile in order, and only what is not done yet"),
-        (commands, "train", _train_options, _train, "train one variant of a profile, or go on with it"),
-        (commands, "notebook", _notebook_options, _notebook, "run one notebook by papermill"),
-        (commands, "predict", _predict_options, _predict, "depth of images, folders and videos with trained weights"),
-        (commands, "export", _export_options, _export, "write a trained depth network as an ONNX file"),
-    ):
-        command = place.add_parser(name, help=meaning, description=run.__doc__)
-        add_options(command)
-        command.set_defaults(run=run)
-    return parser
 
+    def command(place: Any, name: str, run: Callable[[argparse.Namespace], int | None], meaning: str) -> argparse.ArgumentParser:
+        parser = place.add_parser(name, help=meaning, description=run.__doc__)
+        parser.set_defaults(run=run)
+        return parser
 
-def _depth_options(parser: argparse.ArgumentParser) -> None:
+    parser = command(kinds, "depth", _evaluate_depth, "the seven depth metrics of a prediction file")
     parser.add_argument("--pred", required=True, metavar="P.npy", help="(N, h, w) float array of predictions, any size")
     parser.add_argument("--gt", required=True, metavar="G.npz", help="ground truth of data_scripts/export_depth.py: one array per image")
     _add_choice(parser, "--kind", ("depth", "disparity"), "what P holds")
@@ -74,64 +69,31 @@ def _depth_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--allow-pickle", action="store_true", help="read the field's pickled gt_depths.npz; only from a source you trust")
     _add_json_and_guard(parser, "--list", "FILE", "list of the frames, as given to data_scripts/export_depth.py")
 
-
-def _odometry_options(parser: argparse.ArgumentParser) -> None:
+    parser = command(kinds, "odometry", _evaluate_odometry, "errors of a camera trajectory against the true one")
     parser.add_argument("--pred", required=True, metavar="POSES.txt", help="12 numbers a line ([R|t]), or 13 with the frame's number first")
     parser.add_argument("--gt", required=True, metavar="POSES.txt", help="the true poses of the whole sequence, in the same format")
     _add_choice(parser, "--snippet", (3, 5), "frames in a snippet")
     _add_choice(parser, "--align", ("7dof", "none", "scale", "6dof", "scale_7dof"), "how all but snippets are laid on the truth")
     _add_json_and_guard(parser, "--sequence", "09", "KITTI odometry sequence of the poses, which tells its raw drive")
 
-
-def _add_choice(parser: argparse.ArgumentParser, option: str, choices: tuple[str | int, ...], meaning: str) -> None:
-    """Add an option whose first choice is the default."""
-    settings = {"type": type(choices[0]), "choices": choices, "default": choices[0]}
-    parser.add_argument(option, help=f"{meaning} (default: %(default)s)", **settings)
-
-
-def _add_json_and_guard(parser: argparse.ArgumentParser, frames: str, metavar: str, meaning: str) -> None:
-    """Add `--json`, and against leaks `--weights`, the option that names the frames, and `--allow-leak`."""
-    parser.add_argument("--json", metavar="OUT", help="write the numbers as flat JSON to a file, - prints them alone; null: not measurable")
-    guard = parser.add_argument_group("guard against leaks", f"refuses frames of drives that were trained on; needs --weights and {frames}")
-    guard.add_argument("--weights", metavar="W.safetensors", help="weights that predicted; their card says what they were trained on")
-    guard.add_argument(frames, metavar=metavar, help=meaning)
-    guard.add_argument("--allow-leak", action="store_true", help="score all the same, and mark the result")
-
-
-def _reproduce_options(parser: argparse.ArgumentParser) -> None:
+    parser = command(commands, "reproduce", _reproduce, "run all notebooks of a profile in order, and only what is not done yet")
     parser.add_argument("--profile", default="miniature", help=PROFILE)
     add_roots(parser)
     parser.add_argument("--seeds", default="", metavar="0,1,2", help="seeds to train instead of the profile's")
     parser.add_argument("--cores", default="all", help="cores Snakemake may use (default: %(default)s)")
     parser.add_argument("snakemake", nargs="*", metavar="-- OPTION", help="after --: options for Snakemake, such as --executor slurm")
 
-
-def _train_options(parser: argparse.ArgumentParser) -> None:
+    parser = command(commands, "train", _train, "train one variant of a profile, or go on with it")
     parser.add_argument("--profile", default="miniature", help=PROFILE)
     parser.add_argument("--variant", default="lr", help="which network (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="of initialisation, order and augmentation (default: %(default)s)")
 
-
-def _notebook_options(parser: argparse.ArgumentParser) -> None:
+    parser = command(commands, "notebook", _notebook, "run one notebook by papermill")
     parser.add_argument("name", help="such as 03_train_lr")
     parser.add_argument("--out", required=True, metavar="FILE", help="where the executed copy goes")
     parser.add_argument("--set", nargs="*", default=[], metavar="KEY=VALUE", help="the notebook's parameters")
 
-
-def _number(kind: type, above: float = 0, below: float = math.inf) -> Callable[[str], float]:
-    """The type of an option that is a number between two others; argparse names the option and what it was given instead."""
-
-    def number(text: str) -> float:
-        value = kind(text)
-        if not above < value < below:
-            raise argparse.ArgumentTypeError(f"{text} must be above {above:g} and below {below:g}")
-        return value
-
-    number.__name__ = "whole number" if kind is int else "number"
-    return number
-
-
-def _predict_options(parser: argparse.ArgumentParser) -> None:
+    parser = command(commands, "predict", _predict, "depth of images, folders and videos with trained weights")
     parser.add_argument("inputs", nargs="+", metavar="INPUT", help="image, video, folder of them, or pattern in quotes ('in/**/*.jpg')")
     weights = "model.safetensors with its card beside it, its folder, or owner/name on the model hub (default: those of the package)"
     parser.add_argument("--weights", metavar="W", help=weights)
@@ -155,18 +117,44 @@ def _predict_options(parser: argparse.ArgumentParser) -> None:
     camera.add_argument("--fov", type=_number(float, below=180), metavar="DEG", help="across the image, for ply (default: KITTI's 81.4)")
     parser.add_argument("--overwrite", action="store_true", help="make results again that would be kept")
 
-
-def _export_options(parser: argparse.ArgumentParser) -> None:
+    parser = command(commands, "export", _export, "write a trained depth network as an ONNX file")
     parser.add_argument("--to", required=True, choices=("onnx",), help="format of the file")
     parser.add_argument("--weights", required=True, metavar="W.safetensors", help="of a training; their card (.json) lies beside them")
     parser.add_argument("--out", required=True, metavar="DEPTH.onnx", help="file to write")
     parser.add_argument("--frames", nargs="+", default=[], metavar="IMAGE", help="compare on these images (default: three made-up ones)")
+    return program
+
+
+def _add_choice(parser: argparse.ArgumentParser, option: str, choices: tuple[str | int, ...], meaning: str) -> None:
+    """Add an option whose first choice is the default."""
+    settings = {"type": type(choices[0]), "choices": choices, "default": choices[0]}
+    parser.add_argument(option, help=f"{meaning} (default: %(default)s)", **settings)
+
+
+def _add_json_and_guard(parser: argparse.ArgumentParser, frames: str, metavar: str, meaning: str) -> None:
+    """Add `--json`, and against leaks `--weights`, the option that names the frames, and `--allow-leak`."""
+    parser.add_argument("--json", metavar="OUT", help="write the numbers as flat JSON to a file, - prints them alone; null: not measurable")
+    guard = parser.add_argument_group("guard against leaks", f"refuses frames of drives that were trained on; needs --weights and {frames}")
+    guard.add_argument("--weights", metavar="W.safetensors", help="weights that predicted; their card says what they were trained on")
+    guard.add_argument(frames, metavar=metavar, help=meaning)
+    guard.add_argument("--allow-leak", action="store_true", help="score all the same, and mark the result")
+
+
+def _number(kind: type, above: float = 0, below: float = math.inf) -> Callable[[str], float]:
+    """The type of an option that is a number between two others; argparse names the option and what it was given instead."""
+
+    def number(text: str) -> float:
+        value = kind(text)
+        if not above < value < below:
+            raise argparse.ArgumentTypeError(f"{text} must be above {above:g} and below {below:g}")
+        return value
+
+    number.__name__ = "whole number" if kind is int else "number"
+    return number
 
 
 def _evaluate_depth(arguments: argparse.Namespace) -> None:
     """Score depth predictions by the field's protocol (Eigen split) and print the means over images."""
-    from dataclasses import fields
-
     from tqdm import tqdm
 
     from dualdepth.data.depth_maps import load_ground_truth
@@ -230,10 +218,6 @@ def _leak_of(arguments: argparse.Namespace, given: str | None, option: str, driv
 
 def _report(result: dict[str, float | int | str | None], json_out: str | None) -> None:
     """Print a result as a table, and write it as JSON where `json_out` says; `-` prints the JSON alone. None was not measurable."""
-    import json
-
-    from dualdepth.files import write_json
-
     if json_out == "-":
         print(json.dumps(result, allow_nan=False))
         return
@@ -251,7 +235,6 @@ def _report(result: dict[str, float | int | str | None], json_out: str | None) -
 def _reproduce(arguments: argparse.Namespace) -> NoReturn:
     """Run all notebooks of a profile in order, and only what is not done yet."""
     from dualdepth.notebooks import run_chain
-    from dualdepth.run import ROOTS
 
     given = {name: getattr(arguments, name) for name in ROOTS}
     run_chain(arguments.profile, given, arguments.seeds, arguments.allow_leak, arguments.cores, arguments.snakemake)
@@ -266,8 +249,6 @@ def _notebook(arguments: argparse.Namespace) -> None:
 
 def _train(arguments: argparse.Namespace) -> None:
     """Train one variant of a profile, or go on with it, and say where the weights are."""
-    from dualdepth.device import is_main_process
-    from dualdepth.run import Run
     from dualdepth.training.variants import train_variant
 
     if not 0 <= arguments.seed < 2**32:
@@ -282,8 +263,6 @@ def _predict(arguments: argparse.Namespace) -> int:
     named and skipped, and the exit code is then 1. The same command goes on where it was stopped: a result is kept unless its input, the
     weights or an option that shapes results has changed since.
     """
-    from dualdepth.device import keep_freed_memory
-    from dualdepth.files import check_writable
     from dualdepth.inference.files import find_inputs, predict_files
     from dualdepth.inference.results import SUFFIXES, Style
     from dualdepth.model import RELEASED, load
