@@ -229,7 +229,6 @@ def predict_poses(net: PoseNet | EncoderPoseNet, size: tuple[int, int], paths: S
     Args:
         net, size: from `load_pose_net`.
         paths: N ≥ 3 consecutive frames.
-        batch_size: targets at a time.
 
     Returns:
         (N − 2, 2, 4, 4) float64: for each frame but the first and last, as target, the pose that maps its coordinates to the previous

@@ -65,11 +65,7 @@ def read_test_scenes(path: str | Path) -> set[str]:
 
 
 def _matched_lines(path: str | Path, pattern: str, form: str) -> list[tuple]:
-    """Groups of each line, all of which must match.
-
-    Raises:
-        InputError: naming the first line that does not, by its number.
-    """
+    """Groups of each line, all of which must match; an `InputError` names the first that does not by its number."""
     found = []
     for number, line in numbered_lines(Path(path)):
         match = re.fullmatch(pattern, line)

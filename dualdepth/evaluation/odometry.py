@@ -107,10 +107,8 @@ def segment_errors(truth: Trajectory, prediction: Trajectory) -> pd.DataFrame:
     distance = np.concatenate([[0.0], np.cumsum(steps)])
     starts, lengths = (a.ravel() for a in np.meshgrid(np.arange(0, len(distance), STEP), SEGMENTS, indexing="ij"))
     ends = np.searchsorted(distance, distance[starts] + lengths, side="right")
-    starts, lengths, ends = (a[ends < len(distance)] for a in (starts, lengths, ends))
-    at = pd.Index(prediction.frames).get_indexer(truth.frames)  # −1 where the prediction has no such frame
-    both = (at[starts] >= 0) & (at[ends] >= 0)
-    starts, lengths, ends = starts[both], lengths[both], ends[both]
+    at = pd.Index(prediction.frames).get_indexer([*truth.frames, -1])  # −1 where the prediction has no such frame, as behind the path's end
+    starts, lengths, ends = (a[(at[starts] >= 0) & (at[ends] >= 0)] for a in (starts, lengths, ends))
     error = _between(_between(prediction.poses[at[starts]], prediction.poses[at[ends]]), _between(truth.poses[starts], truth.poses[ends]))
     columns = {"first": truth.frames[starts], "last": truth.frames[ends], "length": lengths}
     shift = np.linalg.norm(error[:, :3, 3], axis=1)

@@ -54,9 +54,7 @@ def cost_row(name: str, repeats: int) -> dict[str, Any]:
 def backbone_scores(run: Run, seeds: Sequence[int]) -> Scores:
     """Scores of the table's trainings; `dual_scratch` is another only where the others begin with ImageNet weights."""
     scores = collect(run, (*(variant for _, variant in NETWORKS.values()), "dual_scratch"), seeds)
-    if run.profile.training.pretrained:
-        return scores
-    return scores._replace(missing=scores.missing | {"dual_scratch": NO_WEIGHTS})
+    return scores if run.profile.training.pretrained else scores._replace(missing=scores.missing | {"dual_scratch": NO_WEIGHTS})
 
 
 def backbone_table(run: Run, scores: Scores, repeats: int = 3) -> pd.DataFrame:

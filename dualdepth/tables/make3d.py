@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import cv2
@@ -66,11 +67,11 @@ def predict_photos(model: DepthModel, pairs: Sequence[PhotoGrid], convention: st
 
 def score_photos(training: Trained, photos: Photos, convention: str) -> pd.DataFrame:
     """Metrics of each photo by a training's last weights, kept beside them as `make3d_<convention>.csv` and reused while they fit."""
+    return training.kept(f"make3d_{convention}.csv", {"photos": photos.digest}, lambda: _scores(training.model, photos, convention))
 
-    def score() -> pd.DataFrame:
-        return evaluate_make3d(predict_photos(training.model, photos.pairs, convention), photos.grids, convention)
 
-    return training.kept(f"make3d_{convention}.csv", {"photos": photos.digest}, score)
+def _scores(model: DepthModel, photos: Photos, convention: str) -> pd.DataFrame:
+    return evaluate_make3d(predict_photos(model, photos.pairs, convention), photos.grids, convention)
 
 
 def make3d_scores(run: Run, seeds: Sequence[int]) -> Scores:
@@ -88,16 +89,13 @@ def make3d_scores(run: Run, seeds: Sequence[int]) -> Scores:
     def by_convention(score: Callable[[str], pd.DataFrame]) -> pd.DataFrame:
         return pd.concat({c: score(c) for c in CONVENTIONS}, names=["part"]).swaplevel()
 
-    def untrained(seed: int) -> pd.DataFrame:
-        net = untrained_net(run, seed)
-        return by_convention(lambda c: evaluate_make3d(predict_photos(net, photos.pairs, c), photos.grids, c))
-
     def constant(depth: float, *, median_scaling: bool) -> dict[int, pd.DataFrame]:
         maps = [np.full((1, 1), depth)] * len(photos.grids)
         return {SEEDLESS: by_convention(lambda c: evaluate_make3d(maps, photos.grids, c, median_scaling=median_scaling))}
 
     scores = collect(run, VARIANTS, seeds, lambda t: by_convention(lambda c: score_photos(t, photos, c)), reason="", drives=())
-    scores = scores.plus(UNTRAINED, {seed: untrained(seed) for seed in seeds}, "before its first step")
+    untrained = {seed: by_convention(partial(_scores, untrained_net(run, seed), photos)) for seed in seeds}
+    scores = scores.plus(UNTRAINED, untrained, "before its first step")
     note = "any constant, scaled to each photo's median as the networks are"
     scores = scores.plus(CONSTANT, constant(1.0, median_scaling=True), note)
     if (mean := training_mean(run)) is None:

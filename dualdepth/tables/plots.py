@@ -199,8 +199,7 @@ def trajectories(paths: dict[str, dict[str, np.ndarray]]) -> Picture:
             style = {"color": "black", "linewidth": 2} if number == 0 else {"color": f"C{number - 1}", "linewidth": 1.2}
             axes.plot(positions[:, 0], positions[:, 2], label=method, **style)
         axes.plot(0, 0, "o", color="black", markersize=5)
-        axes.set(title=title, xlabel="x in metres", ylabel="z in metres", aspect="equal")
-        axes.set_adjustable("datalim")
+        axes.set(title=title, xlabel="x in metres", ylabel="z in metres", aspect="equal", adjustable="datalim")
         axes.grid(color="0.9")
     figure.axes[0].legend(frameon=False, fontsize="small")
     return figure

@@ -160,15 +160,13 @@ def in_words(result: Comparison, lower_is_better: bool) -> str:
 
 def readable(table: pd.DataFrame, digits: int = 3) -> pd.DataFrame:
     """The table for the eye: a column with a spread over seeds as "mean ± spread", no columns that are empty or only for programs."""
-    shown = table.copy()
-    for spread in [c for c in table if c.endswith("_std") and c.removesuffix("_std") in table]:
-        column = spread.removesuffix("_std")
-        if pd.api.types.is_numeric_dtype(table[column]):
-            pairs = zip(table[column], table[spread])
-            said = [f"{mean:.{digits}f}" + ("" if pd.isna(std) else f" ± {std:.{digits}f}") for mean, std in pairs]
-            shown[column] = ["" if pd.isna(mean) else words for mean, words in zip(table[column], said)]
+    shown, means = table.copy(), [c for c in table if f"{c}_std" in table]
+    for column in (c for c in means if pd.api.types.is_numeric_dtype(table[c])):
+        pairs = zip(table[column], table[f"{column}_std"])
+        said = [f"{mean:.{digits}f}" + ("" if pd.isna(std) else f" ± {std:.{digits}f}") for mean, std in pairs]
+        shown[column] = ["" if pd.isna(mean) else words for mean, words in zip(table[column], said)]
     empty = [c for c in shown if shown[c].isna().all() or (shown[c].astype(str) == "").all()]
-    hidden = {"variant", "device", *empty, *(c for c in shown if c.endswith("_std") and c.removesuffix("_std") in table)}
+    hidden = {"variant", "device", *empty, *(f"{c}_std" for c in means)}
     last = ("seeds", "source", "note", "reason", "leak")
     return shown[[c for c in shown if c not in (*hidden, *last)] + [c for c in last if c in shown and c not in hidden]]
 

@@ -202,15 +202,13 @@ def trained(run: Run, variant: str, seed: int) -> Trained:
     return opened(Trained, (run, variant, seed), run.weights(variant, seed), run.prepared / "ground_truth.npz")
 
 
+_made = functools.lru_cache(maxsize=256)(lambda kind, arguments, *changed: kind(*arguments))
+
+
 def opened(kind: Callable[..., Any], arguments: tuple[Any, ...], *files: Path) -> Any:
     """`kind(*arguments)`, the same object as long as none of the files changes."""
     stats = [path.stat() if path.exists() else None for path in files]
     return _made(kind, arguments, *((s.st_size, s.st_mtime_ns) if s else None for s in stats))
-
-
-@functools.lru_cache(maxsize=256)
-def _made(kind: Callable[..., Any], arguments: tuple[Any, ...], *changed: tuple[int, int] | None) -> Any:
-    return kind(*arguments)
 
 
 def untrained_net(run: Run, seed: int) -> DepthModel:
