@@ -278,8 +278,7 @@ def _predict(arguments: argparse.Namespace) -> int:
     check_writable(arguments.out)
     if arguments.weights:
         print(f"{arguments.weights}: {model.about}", flush=True)
-    intrinsics = tuple(arguments.intrinsics) if arguments.intrinsics else None
-    style = Style(model.about, arguments.scale, intrinsics, arguments.focal, arguments.fov)
+    style = Style(model.about, arguments.scale, arguments.intrinsics and tuple(arguments.intrinsics), arguments.focal, arguments.fov)
     options = {"kinds": kinds, "batch_size": arguments.batch_size, "overwrite": arguments.overwrite}
     return int(not predict_files(paths, Path(arguments.out), model, style, **options))
 

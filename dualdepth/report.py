@@ -132,8 +132,7 @@ def footnotes(table: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
     joined = ["; ".join(filter(None, parts)) for parts in zip(*words)]
     notes = list(dict.fromkeys(filter(None, joined)))
     numbers = {note: str(number) for number, note in enumerate(notes, 1)}
-    kept = table.drop(columns=["note", "reason", "leak"], errors="ignore")
-    return kept.assign(note=[numbers.get(note, "") for note in joined]), notes
+    return table.drop(columns=["note", "reason", "leak"], errors="ignore").assign(note=[numbers.get(note, "") for note in joined]), notes
 
 
 def digits_of(name: str) -> int:

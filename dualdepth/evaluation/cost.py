@@ -63,9 +63,8 @@ def latency(model: torch.nn.Module, *inputs: torch.Tensor, repeats: int = 10, pr
         else:  # the highest sum of what torch's profiler saw allocated and freed; libraries' own scratch memory is not in it
             with torch.profiler.profile(activities=[torch.profiler.ProfilerActivity.CPU], profile_memory=True) as profile:
                 run()
-            changes = [event for event in profile.profiler.kineto_results.events() if event.name() == "[memory]"]
-            changes.sort(key=lambda event: event.start_ns())
-            extra = max(itertools.accumulate(event.nbytes() for event in changes), default=0)
+            changes = (event for event in profile.profiler.kineto_results.events() if event.name() == "[memory]")
+            extra = max(itertools.accumulate(e.nbytes() for e in sorted(changes, key=lambda event: event.start_ns())), default=0)
         times = timeit.repeat(run, number=1, repeat=repeats)
     held = sum(value.numel() * value.element_size() for value in (*model.parameters(), *model.buffers(), *inputs))
     return Latency(statistics.median(times) * 1e3, (held + extra) / 1e6)

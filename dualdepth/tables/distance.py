@@ -1,5 +1,7 @@
 """Near and far: where the gain of the dual network is."""
 
+from itertools import product
+
 import pandas as pd
 
 from dualdepth.evaluation.parts import PARTS
@@ -17,11 +19,9 @@ def distance_table(run: Run, by_ratio: dict[bool, Scores]) -> pd.DataFrame:
     `by_ratio` has the scores of `near_and_far` pixels by the `own_ratio` of `Trained.parts`.
     """
     rows = []
-    for own_ratio, scores in by_ratio.items():
-        for variant, method in METHODS.items():
-            for part in PARTS:
-                row = method_row(scores, variant, part=part, note=scored(run).note)
-                rows.append({"method": method, "distance": part, "scaling": RATIOS[own_ratio], **row})
+    for (own_ratio, scores), (variant, method), part in product(by_ratio.items(), METHODS.items(), PARTS):
+        row = method_row(scores, variant, part=part, note=scored(run).note)
+        rows.append({"method": method, "distance": part, "scaling": RATIOS[own_ratio], **row})
     return with_paper("distance", rows)
 
 

@@ -11,19 +11,9 @@ import pandas as pd
 from dualdepth.data.odometry import drives_of, poses_path, sequence_of
 from dualdepth.evaluation.odometry import ALIGNMENTS, aligned, relative, yaw_and_step
 from dualdepth.run import Run, Sources
+from dualdepth.tables import trajectories
 from dualdepth.tables.rows import MEASURED, comparisons, method_row, not_run, over_seeds, paired, seed_label, with_paper
 from dualdepth.tables.scores import SEEDLESS, Scores, Trained, collect
-from dualdepth.tables.trajectories import (
-    CONTROLS,
-    LENGTHS,
-    NO_SEQUENCES,
-    chain,
-    follow,
-    follow_control,
-    known_sequences,
-    predicted_motions,
-    true_trajectory,
-)
 
 TRAJECTORY = ("t_err", "r_err", "ate", "rpe_t", "rpe_r")
 """t_err in % of the length, r_err in degrees per 100 m, ate and rpe_t in metres, rpe_r in degrees."""
@@ -34,16 +24,16 @@ def odometry_scores(run: Run, seeds: Sequence[int]) -> Scores:
     """Scores of both stages' PoseNets along the test sequences, and of the controls; parts as of `follow`."""
     entries, reason = sequences(run), ""
     if Sources.load(run).odometry_root is None:
-        reason = NO_SEQUENCES
+        reason = trajectories.NO_SEQUENCES
     elif not entries:
         reason = f"profile {run.profile.name} scores no sequence"
     drives = drives_of(entries, world=run.profile.world is not None)
     variants = run.profile.pose_variants
-    scores = collect(run, variants, seeds, lambda t: pd.concat([follow(t, e) for e in entries]), reason=reason, drives=drives)
-    known = "" if reason else f"the mean step of sequences {' '.join(known_sequences(run))}, never turning"
+    scores = collect(run, variants, seeds, lambda t: pd.concat([trajectories.follow(t, e) for e in entries]), reason=reason, drives=drives)
+    known = "" if reason else f"the mean step of sequences {' '.join(trajectories.known_sequences(run))}, never turning"
     notes = {"constant": known, "straight": "a metre a frame along the optical axis", "inverted": "a mistake that snippets hardly see"}
-    for name in CONTROLS:
-        frames = None if reason else {SEEDLESS: pd.concat([follow_control(run, name, entry) for entry in entries])}
+    for name in trajectories.CONTROLS:
+        frames = None if reason else {SEEDLESS: pd.concat([trajectories.follow_control(run, name, entry) for entry in entries])}
         scores = scores.plus(name, frames, reason or f"control: {notes[name]}")
     return scores
 
@@ -66,7 +56,7 @@ def made_from(run: Run, scores: Scores) -> list[Path]:
 
 def _methods(run: Run) -> dict[str, str]:
     labels = (run.profile.variant(name).label for name in ("odometry_lr", "odometry_dual"))
-    return dict(zip(run.profile.pose_variants, labels)) | CONTROLS
+    return dict(zip(run.profile.pose_variants, labels)) | trajectories.CONTROLS
 
 
 def odometry_table(run: Run, scores: Scores) -> pd.DataFrame:
@@ -77,10 +67,10 @@ def odometry_table(run: Run, scores: Scores) -> pd.DataFrame:
         of the snippets, errors of the whole trajectory aligned with 7dof, `n_SS` snippets, and standard deviations over seeds.
     """
     rows, train = [], [] if run.profile.world else [f"sequences {' '.join(run.profile.odometry_sequences()[0])}"]
-    for length in LENGTHS:
+    for length in trajectories.LENGTHS:
         cut = f"snippets of {length} frames, {'each from one output of PoseNet' if length == 3 else 'cut from the trajectory'}"
         for name, method in _methods(run).items():
-            row = method_row(scores, name, (), note="" if name in CONTROLS else ", ".join([*train, cut]))
+            row = method_row(scores, name, (), note="" if name in trajectories.CONTROLS else ", ".join([*train, cut]))
             numbers = {} if name in scores.missing else _numbers(run, scores, name, length)
             rows.append({"method": method, "frames": length, **row, **numbers})
     return with_paper("odometry", rows)
@@ -134,8 +124,8 @@ def motion_table(run: Run, scores: Scores) -> pd.DataFrame:
 
 def motions(training: Trained, entry: str) -> tuple[np.ndarray, np.ndarray]:
     """True and predicted yaw (degrees a frame) and forward step (metres a frame) along a sequence, each (N − 1, 2)."""
-    truth = yaw_and_step(true_trajectory(training.run, entry).poses)
-    ours = yaw_and_step(chain(predicted_motions(training, entry)))
+    truth = yaw_and_step(trajectories.true_trajectory(training.run, entry).poses)
+    ours = yaw_and_step(trajectories.chain(trajectories.predicted_motions(training, entry)))
     ours[:, 1] *= truth[:, 1].mean() / ours[:, 1].mean()
     return truth, ours
 
@@ -157,7 +147,7 @@ def odometry_claims(run: Run, scores: Scores) -> pd.DataFrame:
     """
     rows: list[dict[str, Any]] = []
     trained = list(scores.trainings)
-    pairs = [(name, control) for name in trained for control in CONTROLS] + ([(trained[1], trained[0])] if len(trained) == 2 else [])
+    pairs = [*product(trained, trajectories.CONTROLS), *([(trained[1], trained[0])] if len(trained) == 2 else [])]
     for sequence in names(run) if trained else ():
         for a, b in pairs:
             place = f"sequence {sequence}"
@@ -183,8 +173,8 @@ def _t_errs(a: pd.DataFrame, b: pd.DataFrame) -> dict[str, Any]:
 
 def paths(run: Run, scores: Scores, entry: str) -> dict[str, np.ndarray]:
     """Positions (N, 3) in metres for a plot, laid on the truth with 7dof: the truth and the first seed's of each training."""
-    truth = true_trajectory(run, entry).poses
+    truth = trajectories.true_trajectory(run, entry).poses
     shown = {"Ground truth": relative(truth)[:, :3, 3]}
     for of_seeds in scores.trainings.values():
-        shown[of_seeds[0].label] = aligned(chain(predicted_motions(of_seeds[0], entry)), truth)[:, :3, 3]
+        shown[of_seeds[0].label] = aligned(trajectories.chain(trajectories.predicted_motions(of_seeds[0], entry)), truth)[:, :3, 3]
     return shown

@@ -5,7 +5,6 @@ import functools
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -230,7 +229,7 @@ class Scores(NamedTuple):
     trainings: dict[str, list[Trained]]  # Of each variant that was trained: one for each seed.
     missing: dict[str, str]  # Of each variant without scores: the reason.
     drives: Sequence[str] = ()  # Drives of the frames that are scored.
-    notes: Mapping[str, str] = MappingProxyType({})  # Of each method that is no training: what it is.
+    notes: Mapping[str, str] = {}  # Of each method that is no training: what it is.
 
     @property
     def weights(self) -> list[Path]:

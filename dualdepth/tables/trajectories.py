@@ -90,9 +90,10 @@ def follow(training: Trained, entry: str) -> pd.DataFrame:
         0, what `trajectory_errors` says of the whole trajectory.
     """
     motions, truth = predicted_motions(training, entry), true_trajectory(training.run, entry)
+    poses = chain(motions)
     file = f"{training.variant}_seed{training.seed}_{sequence_of(entry)[0]}.txt"
-    write_trajectory(training.run.results / "trajectories" / file, chain(motions))
-    return _score(entry, truth, chain(motions), {3: triplet_snippets(motions)})
+    write_trajectory(training.run.results / "trajectories" / file, poses)
+    return _score(entry, truth, poses, {3: triplet_snippets(motions)})
 
 
 def follow_control(run: Run, name: str, entry: str) -> pd.DataFrame:

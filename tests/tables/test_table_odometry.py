@@ -249,9 +249,9 @@ def test_yaw_is_positive_to_the_right_and_steps_go_forward():
 
 def test_a_pose_net_that_turns_half_as_far_and_always_to_the_left(run, monkeypatch):
     yaws, steps = np.random.default_rng(0).normal(0, 3, 7), np.random.default_rng(1).uniform(1, 2, 7)
-    truth = table_module.true_trajectory(run, "09")._replace(poses=driven(yaws, steps))
-    monkeypatch.setattr(table_module, "true_trajectory", lambda run, entry: truth)
-    monkeypatch.setattr(table_module, "predicted_motions", lambda *_: motions_of(driven(yaws / 2 - 1, 0.1 * steps)))
+    truth = table_module.trajectories.true_trajectory(run, "09")._replace(poses=driven(yaws, steps))
+    monkeypatch.setattr(table_module.trajectories, "true_trajectory", lambda run, entry: truth)
+    monkeypatch.setattr(table_module.trajectories, "predicted_motions", lambda *_: motions_of(driven(yaws / 2 - 1, 0.1 * steps)))
     of_seeds = [Trained(run, "odometry_lr", seed) for seed in (0, 1)]
     row = table_module.motion_table(run, Scores(None, {"odometry_lr": of_seeds}, {})).iloc[0]
     assert row["yaw_slope"] == pytest.approx(0.5) and row["step_slope"] == pytest.approx(1)
