@@ -34,12 +34,6 @@ def million(number):
     return round(number / 1e6, 3)
 
 
-def without_gradient(net, output):
-    """Parameters that a sum of all outputs does not depend on."""
-    (sum(d.sum() for d in output.disparities) + output.features.sum()).backward()
-    return [name for name, p in net.named_parameters() if p.grad is None or not p.grad.any()]
-
-
 # LR-Net
 
 
@@ -57,16 +51,6 @@ def test_parameters_and_macs_of_lr_net_are_those_fitted_to_the_papers_overhead_t
     assert (million(cost.params), million(cost.macs / 1e3)) == (params_m, gmacs)
 
 
-def rms_of_levels(net, *given):
-    """Root mean square of the neck and of each level of the decoder."""
-    found = []
-    for module in (net.decoder.neck, *net.decoder.merge):
-        module.register_forward_hook(lambda _module, _given, output: found.append(output.square().mean().sqrt().item()))
-    with torch.no_grad():
-        net.train()(*given)
-    return found
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("encoder", "pretrained"),
@@ -78,7 +62,12 @@ def test_signals_keep_their_scale_down_the_decoder(encoder, pretrained):
         LRNet(encoder, pretrained) if encoder else HRNet(GLOBAL),
         () if encoder else (4, STARTING_RMS * torch.randn(4, GLOBAL, 4, 12)),
     )
-    neck, *levels = rms_of_levels(net, smooth_image(), *led)
+    found = []
+    for module in (net.decoder.neck, *net.decoder.merge):
+        module.register_forward_hook(lambda _module, _given, output: found.append(output.square().mean().sqrt().item()))
+    with torch.no_grad():
+        net.train()(smooth_image(), *led)
+    neck, *levels = found
     assert all(neck / 3 < level < 3 * neck for level in levels)
 
 
@@ -146,7 +135,9 @@ def test_by_itself_hr_net_has_no_room_for_global_features():
 def test_gradients_reach_every_parameter(make, led):
     torch.manual_seed(0)
     net = make()
-    assert without_gradient(net, net(small(), *led)) == []
+    output = net(small(), *led)
+    (sum(d.sum() for d in output.disparities) + output.features.sum()).backward()
+    assert [name for name, p in net.named_parameters() if p.grad is None or not p.grad.any()] == []
 
 
 # The dual network
