@@ -100,29 +100,38 @@ def total_loss(
 ) -> Losses:
     """λ1 L_ph + λ2 L_smooth + λ3 L_fr (paper, section "Loss"), each scale compared at its own size with area-shrunk images.
 
+    Beyond the paper, coarser disparities can be enlarged and compared at the finest size.
+
     Args:
         images: (B, 1 + S, 3, H, W) in [0, 1], target first.
         intrinsics: (B, 3, 3) at this size.
         disparities: of the target, (B, 1, H/2^s, W/2^s) for s = 0, 1, …
         poses: (B, S, 6), target → source, in the unit of the normalised depth.
         settings: λ1, λ2 (halved at each coarser scale), λ3; α; the mean that the finest disparity is divided to, per image, with gradient
-            (DDVO); whether, beyond the paper, the unwarped sources take part in the minimum.
+            (DDVO); whether, beyond the paper, the unwarped sources take part in the minimum, and whether all scales compare at full size.
         features: target's (B, C, H, W) and sources' (B, S, C, H, W) for the feature reconstruction loss; None leaves it out.
     """
     images, disparities = images.float(), [d.float() for d in disparities]
-    sources = images.shape[1] - 1
+    sources, width = images.shape[1] - 1, images.shape[-1]
     transforms = pose_matrix(poses.float()).flatten(0, 1)
     norm = settings.mean_disparity / disparities[0].mean(dim=(2, 3), keepdim=True)
     zero = images.new_zeros(())
     photometric, smooth, feature = zero, zero, zero
+    shrunk = images
     for scale, disparity in enumerate(disparities):
         if scale:
-            images = F.avg_pool2d(images.flatten(0, 1), 2).unflatten(0, (-1, 1 + sources))
+            shrunk = F.avg_pool2d(shrunk.flatten(0, 1), 2).unflatten(0, (-1, 1 + sources))
+        smooth = smooth + smoothness(disparity, shrunk[:, 0]) * 0.5**scale / len(disparities)
+        if settings.beyond_paper_full_resolution:
+            disparity = F.interpolate(disparity, images.shape[-2:], mode="bilinear", align_corners=False)
+        else:
+            images = shrunk
         target, views = images[:, 0], images[:, 1:].flatten(0, 1)  # (B, 3, h, w), (B·S, 3, h, w)
+        share = images.shape[-1] / width
         pixel, valid = reproject(
             (disparity * norm).repeat_interleave(sources, 0),
             transforms,
-            resize_intrinsics(intrinsics, 0.5**scale, 0.5**scale).repeat_interleave(sources, 0),
+            resize_intrinsics(intrinsics, share, share).repeat_interleave(sources, 0),
         )
         synthesized = sample(views, pixel)
         errors = photometric_error(target, synthesized, settings.alpha).unflatten(0, (-1, sources)).squeeze(2)
@@ -138,7 +147,6 @@ def total_loss(
             still = photometric_error(target, views, settings.alpha).unflatten(0, (-1, sources)).squeeze(2)
             minimum, seen = minimum_over_sources(errors, valid & (errors < still.amin(dim=1, keepdim=True)))
         photometric = photometric + mean_over_seen(minimum, seen) / len(disparities)
-        smooth = smooth + smoothness(disparity, target) * 0.5**scale / len(disparities)
     minimum, seen, synthesized = finest
     total = settings.photometric * photometric + settings.smoothness * smooth + settings.feature * feature
     return Losses(total, photometric, smooth, feature, synthesized.detach(), minimum[:, None].detach(), seen.float().mean())

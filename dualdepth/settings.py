@@ -123,6 +123,9 @@ class Augmentation(Settings):
     """Scale and crop at full resolution, then down-sample (paper, "Implementation Details")."""
     beyond_paper_flip: bool = False
     """Beyond the paper: mirror half of the samples."""
+    beyond_paper_colour: float = Field(0.0, ge=0.0, lt=1.0)
+    """Beyond the paper: brightness, contrast and saturation of what the networks see change by up to this share, the same for all frames of
+    a triplet; the losses compare the frames as they are (monodepth2 has 0.2)."""
 
 
 class Loss(Settings):
@@ -147,6 +150,8 @@ class Loss(Settings):
     """Resolutions 1/1, 1/2, 1/4, 1/8 (paper)."""
     beyond_paper_automask: bool = False
     """Beyond the paper: drop pixels that the unwarped source explains better (monodepth2)."""
+    beyond_paper_full_resolution: bool = False
+    """Beyond the paper: disparities of all scales are enlarged and compare images at full size, not at their own (monodepth2)."""
 
 
 class StageSettings(Settings):

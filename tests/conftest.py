@@ -55,6 +55,22 @@ def encoder(tmp_path_factory):
     return save_encoder(tmp_path_factory.mktemp("encoder"))
 
 
+@pytest.fixture(scope="module")
+def dual_of(encoder):
+    """Makes a small dual network in training mode, always with the same weights."""
+
+    def make(link="attention"):
+        import torch  # a second, for the tests that need it
+        from small_nets import with_heads
+
+        from dualdepth.networks.depth_nets import DualNet, LRNet
+
+        torch.manual_seed(0)
+        return with_heads(DualNet(LRNet(encoder), link))
+
+    return make
+
+
 @pytest.fixture(scope="session")
 def real():
     """Finds a file or folder of the real KITTI beside the repository, or skips the test. What is in it may change."""

@@ -7,9 +7,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 from small_kitti import DRIVE, write_calibration, write_drive
-from small_nets import with_heads
 
-from dualdepth.networks.depth_nets import DualNet, LRNet
 from dualdepth.profile import load_profile
 from dualdepth.training.stages import Stage
 from dualdepth.training.variants import train_variant
@@ -33,17 +31,6 @@ def batch_of(items, size):
     images = torch.randint(0, 256, (items, 3, 3, *size), generator=torch.Generator().manual_seed(0), dtype=torch.uint8)
     matrix = torch.tensor([[120.0, 0, 95.5], [0, 120, 47.5], [0, 0, 1]])
     return {"images": images, "intrinsics": matrix.expand(items, 3, 3), "name": ["a", "b"][:items]}
-
-
-@pytest.fixture(scope="module")
-def dual_of(encoder):
-    """A small dual network in training mode."""
-
-    def make(link="attention"):
-        torch.manual_seed(0)
-        return with_heads(DualNet(LRNet(encoder), link)).train()
-
-    return make
 
 
 @pytest.fixture(scope="session")

@@ -6,7 +6,7 @@ import torch
 from slow_losses import slow_warp
 
 from dualdepth import geometry
-from dualdepth.geometry import inverse_pose, low_resolution, pose_matrix, reproject, resize_intrinsics, rotation_matrix, sample, to_unit
+from dualdepth.geometry import inverse_pose, pose_matrix, reproject, resize_intrinsics, rotation_matrix, sample
 
 KITTI = torch.tensor([[721.5, 0.0, 609.6], [0.0, 721.5, 172.9], [0.0, 0.0, 1.0]])
 
@@ -43,16 +43,6 @@ def test_warp_with_the_identity_pose_gives_the_image(height, width):
     assert valid.all()
     # float32 knows pixel 1248 to about 1e-4
     assert torch.allclose(sample(image, pixel), image, atol=5e-4)
-
-
-def test_the_warp_undoes_a_sideways_motion_of_a_wall():
-    height, width, shift, depth = 10, 40, 4, 5.0
-    target = torch.rand(1, 3, height, width, generator=torch.Generator().manual_seed(0))
-    source = target.roll(shift, dims=-1)  # what was at u is at u + 4
-    k = camera(height, width)
-    pixel, valid = reproject(torch.full((1, 1, height, width), 1 / depth), pose(shift * depth / k[0, 0, 0], 0, 0, 0, 0, 0), k)
-    assert torch.allclose(sample(source, pixel)[..., : width - shift], target[..., : width - shift], atol=1e-4)
-    assert valid[0, 0].all(dim=0).tolist() == [True] * (width - shift) + [False] * shift
 
 
 def test_points_behind_the_source_camera_are_invalid_and_finite():
@@ -159,11 +149,3 @@ def test_coordinates_that_are_no_numbers_are_sampled_and_derived_without_harm(ba
     assert pixel.grad.isfinite().all() and image.grad.isfinite().all()
     pixel, valid = reproject(disparities(8, 12), pose(bad, 0, 0, 0, 0, 0), camera(8, 12))
     assert not valid.any() or abs(bad) == 1e30
-
-
-def test_the_low_resolution_image_is_the_high_resolution_one_averaged_3_by_3():
-    images = torch.from_numpy(np.random.default_rng(0).integers(0, 256, (2, 3, 3, 12, 18), np.uint8))
-    found = low_resolution(to_unit(images))
-    blocks = images.numpy().astype(np.float64).reshape(2, 3, 3, 4, 3, 6, 3).mean((4, 6)) / 255
-    assert found.shape == (2, 3, 3, 4, 6)
-    assert np.allclose(found.numpy(), blocks, atol=1e-6)

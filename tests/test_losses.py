@@ -147,6 +147,15 @@ def test_the_automask_drops_what_stands_still_and_only_when_asked():
         assert total_loss(**still).photometric > 0.01
 
 
+def test_at_full_resolution_a_coarse_disparity_is_compared_as_if_it_were_fine():
+    given = batch()
+    flat = given | {"disparities": [torch.full((1, 1, 16 >> s, 24 >> s), 0.7) for s in range(2)]}
+    one = total_loss(**flat | {"disparities": flat["disparities"][:1]})
+    full = total_loss(**flat | {"settings": settings(beyond_paper_full_resolution=True)})
+    assert full.photometric.item() == pytest.approx(one.photometric.item(), rel=1e-5)
+    assert total_loss(**flat).photometric.item() != pytest.approx(one.photometric.item(), rel=1e-2)
+
+
 def test_where_no_source_sees_anything_only_smoothness_is_left():
     made, given = leaves(batch())
     behind = given["poses"].detach().clone()

@@ -1,4 +1,4 @@
-"""The notebooks as they are committed: in the order, tagged, executed, and really compared by nbval."""
+"""The notebooks as they are committed: tagged, executed, and really compared by nbval."""
 
 import re
 
@@ -18,11 +18,6 @@ def notebook(request):
 
 def code_cells(notebook):
     return [cell for cell in notebook.cells if cell.cell_type == "code"]
-
-
-def test_every_notebook_stands_in_the_snakefile_and_the_other_way_round():
-    order = set(re.findall(r'["\s](\d\d_[a-z0-9_]+)["\s]', (project_root() / "Snakefile").read_text(encoding="utf-8")))
-    assert order == {path.stem for path in NOTEBOOKS}
 
 
 def test_it_has_one_parameters_cell_whose_first_parameter_is_the_profile(notebook):

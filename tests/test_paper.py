@@ -81,21 +81,3 @@ def test_the_oddities_that_a_table_shows_are_there():
 
     assert far_share(ablation[0], distance[0], distance[1]) == 0.26
     assert [far_share(ablation[k], distance[2], distance[3]) for k in (1, 2)] == [0.25, 0.22]
-
-
-def test_recipe_stands_in_the_text():
-    text = tex()
-    for words in (
-        "train the LR-Net for 40 epochs",
-        "another 40 epochs",
-        "mini-batch size of 4",
-        r"\beta_1=0.9,\beta_2=0.999",
-        r"0.0002 & & {epochs \leq 10}",
-        r"0.0001 & & {10<epochs\leq 20}",
-        "0.00005 & & {20<epochs}",
-        r"low-resolution ($128\times 416$)",
-        r"high-resolution ($384\times 1248$)",
-        r"$\frac{1}{1}, \frac{1}{2}, \frac{1}{4}, \frac{1}{8}$",
-        r"$\alpha$ is set to 0.85",
-    ):
-        assert words in text

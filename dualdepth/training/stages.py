@@ -55,7 +55,7 @@ class Stage(nn.Module):
         super().__init__()
         self.depth_net, self.pose_net = depth_net, pose_net
         self.loss, self.channels_last, self.low = training.loss, training.channels_last, low
-        self.mirrored_motion = training.beyond_paper_mirrored_motion
+        self.mirrored_motion, self.colour = training.beyond_paper_mirrored_motion, training.augmentation.beyond_paper_colour
         self.hr_batch = training.augmentation.augment_first or not low
         """Whether batches have the HR size; frames that are shrunk before they are augmented have the LR size."""
 
@@ -65,9 +65,11 @@ class Stage(nn.Module):
         In a corridor the depth network is left out: a road between walls stands for what it would say, so that PoseNet learns alone.
         """
         images, matrix = to_unit(batch["images"]), batch["intrinsics"]
-        small = low_resolution(images) if self.hr_batch else images
+        seen = recoloured(images, self.colour) if self.colour and self.training else images  # by the networks; losses compare `images`
+        small = low_resolution(seen) if self.hr_batch else seen
         if self.low and self.hr_batch:
-            images, matrix = small, resize_intrinsics(matrix, 1 / 3, 1 / 3)
+            images = small if seen is images else low_resolution(images)
+            seen, matrix = small, resize_intrinsics(matrix, 1 / 3, 1 / 3)
         # the sources' depth features are needed for the feature loss alone
         with_features = self.low and self.loss.feature > 0 and not in_a_corridor
         poses = self.motion(small)
@@ -75,7 +77,7 @@ class Stage(nn.Module):
             disparities = corridor(matrix, images.shape[-2:], self.loss.scales)
             features = torch.zeros_like(disparities[0])[:, None]
         else:
-            views = images if with_features else images[:, :1]
+            views = seen if with_features else seen[:, :1]
             network_input = views.flatten(0, 1)
             if self.channels_last:
                 network_input = network_input.contiguous(memory_format=torch.channels_last)
@@ -95,6 +97,17 @@ class Stage(nn.Module):
         mirrored = torch.rand(len(images), device=images.device) < 0.5
         poses = self.pose_net(torch.where(mirrored.view(-1, 1, 1, 1, 1), images.flip(-1), images))
         return torch.where(mirrored.view(-1, 1, 1), poses * poses.new_tensor(MIRROR), poses)
+
+
+def recoloured(images: Tensor, most: float) -> Tensor:
+    """Images (B, V, 3, H, W) in [0, 1] whose brightness, saturation and contrast are times 1 ± `most`, drawn for each item."""
+    draws = torch.rand(3, len(images), 1, 1, 1, 1, device=images.device)
+    brightness, saturation, contrast = 1.0 + most * (2.0 * draws - 1.0)
+    images = images * brightness
+    grey = images.mean(dim=2, keepdim=True)
+    images = grey + saturation * (images - grey)
+    middle = images.mean(dim=(1, 2, 3, 4), keepdim=True)
+    return (middle + contrast * (images - middle)).clamp(0.0, 1.0)
 
 
 def corridor(intrinsics: Tensor, size: tuple[int, int], scales: int) -> list[Tensor]:

@@ -1,10 +1,8 @@
-"""Files of ground-truth depth: plain, in order, whole or absent."""
+"""Files of ground-truth depth: plain, and in order."""
 
 import numpy as np
-import pytest
 
 from dualdepth.data import depth_maps
-from dualdepth.errors import InputError
 
 MAPS = [np.arange(12.0).reshape(3, 4), np.ones((2, 5)), np.zeros((1, 1))]
 
@@ -26,23 +24,3 @@ def test_order_is_the_files_even_where_keys_do_not_sort(tmp_path):
     path = tmp_path / "plain.npz"
     np.savez(path, *[np.full((2, 2), float(i)) for i in range(12)])
     assert [depth[0, 0] for depth in depth_maps.load_ground_truth(path)] == list(range(12))
-
-
-def test_a_failed_save_leaves_the_old_file(tmp_path):
-    path = tmp_path / "gt.npz"
-    depth_maps.save_ground_truth(path, MAPS)
-    before = path.read_bytes()
-
-    def broken():
-        yield MAPS[0]
-        raise InputError("scan 1 is broken")
-
-    with pytest.raises(InputError, match="scan 1"):
-        depth_maps.save_ground_truth(path, broken())
-    assert path.read_bytes() == before and len(list(tmp_path.iterdir())) == 1
-
-
-def test_an_array_that_is_no_map_is_named_with_its_shape(tmp_path):
-    np.savez(tmp_path / "cube.npz", a=np.zeros((2, 2, 2)))
-    with pytest.raises(InputError, match=r"cube.npz: a is float64 of shape \(2, 2, 2\)"):
-        depth_maps.load_ground_truth(tmp_path / "cube.npz")[0]

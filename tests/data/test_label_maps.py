@@ -1,12 +1,10 @@
-"""Label maps as they are read: the ids of the file and nothing else, and one line for all that is no label map."""
+"""Label maps as they are read: the ids of the file and nothing else. What is no label map stands in tests/reliability/bad_inputs.py."""
 
 import numpy as np
-import pytest
 from PIL import Image
 
 from dualdepth.data.kitti import Frame
 from dualdepth.data.label_maps import CITYSCAPES, label_path, read_label_map
-from dualdepth.errors import InputError
 
 DRIVE = "2011_09_26_drive_0052_sync"
 
@@ -33,28 +31,3 @@ def test_the_names_stand_at_cityscapes_training_ids():
 
 def test_a_frame_has_its_map_below_its_drive(tmp_path):
     assert label_path(tmp_path, Frame(f"2011_09_26/{DRIVE}", 12)) == tmp_path / DRIVE / "0000000012.png"
-
-
-def raw_ids():
-    labels = every_id()
-    labels[0, :3] = (24, 33, 19)
-    return labels
-
-
-@pytest.mark.parametrize(
-    ("content", "kind", "said"),
-    [
-        (every_id(), "jpeg", "a JPEG of mode L"),
-        (np.repeat(every_id()[..., None], 3, 2), "png", "a PNG of mode RGB"),
-        (np.repeat(every_id()[..., None], 4, 2), "png", "a PNG of mode RGBA"),
-        (every_id().astype(np.uint16), "png", "a PNG of mode I"),
-        (every_id() > 9, "png", "a PNG of mode 1"),
-        (raw_ids(), "png", "holds 19, 24, 33; give training ids 0 to 18"),
-    ],
-)
-def test_what_is_no_label_map_is_named(tmp_path, content, kind, said):
-    with pytest.raises(InputError, match=r"none\.png: no such file"):
-        read_label_map(tmp_path / "none.png")
-    Image.fromarray(content).save(tmp_path / "a.png", kind)
-    with pytest.raises(InputError, match=rf"a\.png: {said}"):
-        read_label_map(tmp_path / "a.png")

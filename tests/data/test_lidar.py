@@ -8,7 +8,6 @@ import pytest
 
 from dualdepth.data import lidar
 from dualdepth.data.kitti import Frame, image_path, read_frame_list, read_image, velodyne_path
-from dualdepth.errors import InputError
 
 FRAME = Frame("2011_09_26/2011_09_26_drive_0001_sync", 3)
 PROJECTION = np.array([[0.0, -40, 0, 0], [0, 0, -40, 0], [1, 0, 0, -0.27]]) + np.array([[30.0], [20], [0]]) * [1, 0, 0, -0.27]
@@ -79,20 +78,6 @@ def test_pixels_round_half_to_even_and_lose_one():
     assert list(zip(rows, columns)) == [(3, 1), (5, 3)]
 
 
-def test_last_column_and_next_rows_first_column_share_a_group():
-    projection = np.array([[0, -1.0, 0, 0], [0, 0, -1.0, 0], [1, 0, 0, 0]])
-
-    def at(row, column, depth):
-        return [depth, -(column + 1) * depth, -(row + 1) * depth, 0]
-
-    scan = np.array([at(2, 9, 8), at(3, 0, 2), at(5, 5, 7), at(5, 5, 4), at(5, 5, 6), at(6, 6, 9)], np.float32)
-    depth = lidar.depth_from_scan(scan, projection, (10, 10))
-    assert depth[2, 9] == 2 and depth[3, 0] == 2
-    assert depth[5, 5] == 4 and depth[6, 6] == 9
-    reverse = lidar.depth_from_scan(scan[[1, 0]] * [[1, 1, 1, 1], [0.125, 0.125, 0.125, 1]], projection, (10, 10))
-    assert reverse[3, 0] == 1 and reverse[2, 9] == 1
-
-
 def test_map_has_the_images_size_or_else_that_of_the_calibration(kitti_factory, write_scan):
     root = kitti_factory({FRAME.drive: [3]})
     write_scan(root, FRAME.drive, 3)
@@ -102,12 +87,6 @@ def test_map_has_the_images_size_or_else_that_of_the_calibration(kitti_factory, 
     assert lidar.ground_truth(root, FRAME).shape == (48, 64)
     image_path(root, FRAME).unlink()
     assert lidar.ground_truth(root, FRAME).shape == (208, 208)
-    (root / FRAME.date / "calib_cam_to_cam.txt").write_text("R_rect_00: 1 0 0 0 1 0 0 0 1\n")
-    with pytest.raises(InputError, match=r"calib_cam_to_cam.txt: has no P_rect_02"):
-        lidar.ground_truth(root, FRAME)
-    (root / FRAME.date / "calib_velo_to_cam.txt").unlink()
-    with pytest.raises(InputError, match=r"calib_velo_to_cam.txt: no such file"):
-        lidar.ground_truth(root, FRAME)
 
 
 @pytest.mark.parametrize("folder", ["train/2011_09_26_drive_0001_sync", "val/2011_09_26_drive_0001_sync", FRAME.drive])
@@ -115,11 +94,6 @@ def test_improved_ground_truth_is_the_png_over_256(tmp_path, folder):
     path = tmp_path / folder / "proj_depth" / "groundtruth" / "image_02" / "0000000003.png"
     path.parent.mkdir(parents=True)
     cv2.imwrite(str(path), np.array([[0, 256], [384, 65535]], np.uint16))
-    with pytest.raises(InputError, match=r"0001_sync/image_02/0000000004"):
-        lidar.improved_ground_truth(tmp_path, FRAME._replace(index=4))
     depth = lidar.improved_ground_truth(tmp_path, FRAME)
     assert depth.dtype == np.float32
     np.testing.assert_array_equal(depth, [[0, 1], [1.5, 65535 / 256]])
-    cv2.imwrite(str(path), np.zeros((2, 2), np.uint8))
-    with pytest.raises(InputError, match="not a 16-bit depth PNG"):
-        lidar.improved_ground_truth(tmp_path, FRAME)

@@ -65,21 +65,6 @@ def test_the_fourth_channel_is_the_depth(make_root):
     np.testing.assert_array_equal(grid, points(1)[..., 3])
 
 
-@pytest.mark.parametrize(
-    ("content", "found"),
-    [
-        ({"Other": points()}, r"float64 of shape \(0,\)"),
-        ({"Position3DGrid": points()[..., :3]}, r"shape \(55, 305, 3\)"),
-        ({"Position3DGrid": points().transpose(1, 0, 2)}, r"shape \(305, 55, 4\)"),
-        ({"Position3DGrid": points().astype(str)}, "<U"),
-    ],
-)
-def test_another_mat_file_is_refused(tmp_path, content, found):
-    savemat(tmp_path / "a.mat", content)
-    with pytest.raises(InputError, match=rf"a\.mat: Position3DGrid is .*{found}"):
-        read_grid(tmp_path / "a.mat")
-
-
 @pytest.mark.parametrize("kept", [0.75, 0.999])
 def test_a_truncated_photo_keeps_its_size_and_what_is_left(tmp_path, kept):
     whole, path = jpeg(480, 360), tmp_path / "img-a.jpg"

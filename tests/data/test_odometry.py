@@ -182,11 +182,3 @@ def test_poses_are_paired_by_frame_numbers_or_in_order(tmp_path):
     assert frames.tolist() == [5, 6, 8]
     np.testing.assert_array_equal(poses, prediction.poses)
     np.testing.assert_array_equal(true_poses, truth.poses)
-
-
-def test_published_files_are_read(real):
-    read = read_trajectory(real("kitti_odometry/predictions/example_0/09.txt"))
-    assert read.indexed and read.frames.tolist() == list(range(2, 1591))
-    truth = read_trajectory(real("kitti_odometry/poses/09.txt"))
-    assert not truth.indexed and len(truth.poses) == 1591
-    assert len(pair_frames(read, truth)[0]) == 1589

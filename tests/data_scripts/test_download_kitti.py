@@ -132,7 +132,6 @@ def test_a_profile_fetches_its_drives_and_those_of_its_lists(server, lists, tmp_
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        (["2011_09_26_drive_95"], "drive '2011_09_26_drive_95': expected a name like"),
         (["--profile", "nothing"], "profile 'nothing' not found"),
         (["--profile", "tiny"], "profile tiny makes its own data"),
         (["--lists-only"], "eigen/test_files.txt: not there (HTTP 404)"),

@@ -1,7 +1,5 @@
-"""Exporting ground truth from the shell: real frames, and one line for every mistake with nothing half-written."""
+"""Exporting ground truth: what is listed, in its order, and one line for what is missing."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import cv2
@@ -11,9 +9,8 @@ import pytest
 from data_scripts import export_depth
 from dualdepth.data.depth_maps import load_ground_truth
 from dualdepth.data.kitti import Frame, read_frame_list, velodyne_path
-from dualdepth.data.lidar import ground_truth, map_size
+from dualdepth.data.lidar import ground_truth
 
-SCRIPT = Path(export_depth.__file__)
 DRIVE = "2011_09_26/2011_09_26_drive_0001_sync"
 
 
@@ -62,11 +59,8 @@ def test_missing_files_are_in_one_message_or_left_out_and_keys_keep_the_place(ki
     assert "2 of 2" in refused(run, "--allow-missing")
 
 
-def test_a_broken_scan_in_the_middle_leaves_nothing_and_an_output_that_cannot_be_written_is_named(kitti, refused):
+def test_an_output_that_cannot_be_written_is_named(kitti, refused):
     assert "list.txt/G.npz: cannot write" in refused(run, "--out", "list.txt/G.npz")
-    path = kitti / DRIVE / "velodyne_points" / "data" / "0000000002.bin"
-    path.write_bytes(path.read_bytes()[:-5])
-    assert "0000000002.bin" in refused(run) and not list(Path("out").glob("*"))
 
 
 def test_improved_maps_are_exported_without_the_raw_data(kitti, refused):
@@ -80,13 +74,3 @@ def test_improved_maps_are_exported_without_the_raw_data(kitti, refused):
     Path("out/G.npz").unlink()
     write_list([0, 5])
     assert "drive_0001_sync/image_02/0000000005" in refused(run, "--improved", "annotated")
-
-
-def test_real_frames_from_the_shell(real, tmp_path):
-    out, root, frames = tmp_path / "G.npz", real("kitti_raw"), real("splits/sample_val.txt")
-    command = [sys.executable, SCRIPT, "--kitti", root, "--list", frames, "--out", out]
-    done = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    listed, maps = read_frame_list(frames), load_ground_truth(out)
-    assert [depth.shape for depth in maps] == [map_size(root, frame) for frame in listed]
-    assert all(15_000 < np.count_nonzero(depth) < 25_000 for depth in maps)

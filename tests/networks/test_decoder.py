@@ -27,14 +27,6 @@ def test_disparity_is_ten_times_the_sigmoid_plus_a_hundredth():
         assert all(torch.allclose(d, torch.tensor(disparity)) for d in decoder(maps()).disparities)
 
 
-def test_disparities_are_float32_under_bfloat16(decoder):
-    with torch.autocast("cpu", torch.bfloat16):
-        output = decoder(maps())
-    assert output.features.dtype == torch.bfloat16
-    assert all(d.dtype == torch.float32 for d in output.disparities)
-    assert len(output.disparities[0].unique()) > 1000
-
-
 @pytest.mark.parametrize("level", range(5))
 def test_every_map_of_the_encoder_is_used(decoder, level):
     changed = maps()

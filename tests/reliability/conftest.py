@@ -4,7 +4,6 @@ from contextlib import contextmanager
 
 import pytest
 from counting import write_count
-from small_stages import dual_of  # noqa: F401
 from small_training import profile_of, quiet_torch, run, triplets, whole, whole_and_log  # noqa: F401
 
 

@@ -116,9 +116,9 @@ def photo() -> bytes:
     return written(Image.fromarray(np.random.default_rng(0).integers(0, 255, (40, 30, 3), np.uint8)).save, "jpeg")
 
 
-def grid(name: str = "Position3DGrid", shape: tuple[int, ...] = (55, 305, 4), **settings: object) -> bytes:
+def grid(name: str = "Position3DGrid", shape: tuple[int, ...] = (55, 305, 4), kind: type = float, **settings: object) -> bytes:
     """A laser grid as Make3D has them."""
-    return written(savemat, {name: np.random.default_rng(0).uniform(1, 80, shape)}, **settings)
+    return written(savemat, {name: np.random.default_rng(0).uniform(1, 80, shape).astype(kind)}, **settings)
 
 
 def kitti_archive(folder: Path, server: Loopback) -> Call:

@@ -79,6 +79,14 @@ def give_maps(monkeypatch):
 
 
 @pytest.fixture
+def truths():
+    """Depth of three images of 30 columns: 15 of 8.5 to 19 m, which hold the median, 5 of 4 to 7 m, 10 of 25 to 50 m."""
+    rng = np.random.default_rng(0)
+    columns = [rng.uniform(8.5, 19, (3, 30, 15)), rng.uniform(4, 7, (3, 30, 5)), rng.uniform(25, 50, (3, 30, 10))]
+    return list(np.concatenate(columns, axis=2))
+
+
+@pytest.fixture
 def check_paper_rows():
     """Checks that the paper's rows stand first, all there, with no number changed and no count of images."""
 

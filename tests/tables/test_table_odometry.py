@@ -38,16 +38,25 @@ from tests.small_checkout import write_profile
 SIZE = (192, 192)
 
 
-def winding(count, seed=0):
-    """Poses (N, 4, 4), camera to world, that turn and climb."""
-    rng = np.random.default_rng(seed)
+def driven(turns, moves):
+    """Poses (N, 4, 4), camera to world, of a camera that turns and then moves, step by step."""
     poses = [np.eye(4)]
-    for _ in range(count - 1):
+    for turn, move in zip(turns.as_matrix(), moves, strict=True):
         step = np.eye(4)
-        step[:3, :3] = Rotation.from_rotvec(rng.normal(0, 0.1, 3)).as_matrix()
-        step[:3, 3] = rng.normal([0, 0, 1], 0.1)
+        step[:3, :3], step[:3, 3] = turn, move
         poses.append(poses[-1] @ step)
     return np.stack(poses)
+
+
+def winding(count):
+    """Poses that turn and climb."""
+    rng = np.random.default_rng(0)
+    return driven(Rotation.from_rotvec(rng.normal(0, 0.1, (count - 1, 3))), rng.normal([0, 0, 1], 0.1, (count - 1, 3)))
+
+
+def of_a_car(yaws, steps):
+    """Poses of a car that turns by `yaws` degrees to the right and then goes `steps` metres forward."""
+    return driven(Rotation.from_euler("y", yaws, degrees=True), np.outer(steps, [0, 0, 1]))
 
 
 def motions_of(poses):
@@ -233,25 +242,15 @@ def test_a_path_too_short_for_a_segment_says_so(run):
     assert odometry_claims(run, scores).query("metric == 't_err'")["reason"].eq("the path is too short for a segment").all()
 
 
-def driven(yaws, steps):
-    """Poses (N, 4, 4) of a car that turns by `yaws` degrees to the right and then goes `steps` metres forward."""
-    poses = [np.eye(4)]
-    for yaw, step in zip(yaws, steps):
-        move = np.eye(4)
-        move[:3, :3], move[:3, 3] = Rotation.from_euler("y", yaw, degrees=True).as_matrix(), [0, 0, step]
-        poses.append(poses[-1] @ move)
-    return np.stack(poses)
-
-
 def test_yaw_is_positive_to_the_right_and_steps_go_forward():
-    np.testing.assert_allclose(yaw_and_step(driven([2, 2, -1], [1.5, 1, 0.5])), [[2, 1.5], [2, 1], [-1, 0.5]], atol=1e-12)
+    np.testing.assert_allclose(yaw_and_step(of_a_car([2, 2, -1], [1.5, 1, 0.5])), [[2, 1.5], [2, 1], [-1, 0.5]], atol=1e-12)
 
 
 def test_a_pose_net_that_turns_half_as_far_and_always_to_the_left(run, monkeypatch):
     yaws, steps = np.random.default_rng(0).normal(0, 3, 7), np.random.default_rng(1).uniform(1, 2, 7)
-    truth = table_module.trajectories.true_trajectory(run, "09")._replace(poses=driven(yaws, steps))
+    truth = table_module.trajectories.true_trajectory(run, "09")._replace(poses=of_a_car(yaws, steps))
     monkeypatch.setattr(table_module.trajectories, "true_trajectory", lambda run, entry: truth)
-    monkeypatch.setattr(table_module.trajectories, "predicted_motions", lambda *_: motions_of(driven(yaws / 2 - 1, 0.1 * steps)))
+    monkeypatch.setattr(table_module.trajectories, "predicted_motions", lambda *_: motions_of(of_a_car(yaws / 2 - 1, 0.1 * steps)))
     of_seeds = [Trained(run, "odometry_lr", seed) for seed in (0, 1)]
     row = table_module.motion_table(run, Scores(None, {"odometry_lr": of_seeds}, {})).iloc[0]
     assert row["yaw_slope"] == pytest.approx(0.5) and row["step_slope"] == pytest.approx(1)

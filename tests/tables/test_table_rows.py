@@ -7,7 +7,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dualdepth.evaluation.depth import METRICS
 from dualdepth.evaluation.statistics import Comparison
 from dualdepth.run import project_root
 from dualdepth.tables import rows as rows_module
@@ -34,17 +33,6 @@ def long(frames):
 def test_a_row_is_the_mean_over_images_then_over_seeds_with_its_spread(seeds, mean, spread, images):
     found = over_seeds(long({("lr", seed): frame(values) for seed, values in enumerate(seeds)}).of("lr"), ["abs_rel"])
     assert found == pytest.approx({"abs_rel": mean, "abs_rel_std": spread, "n": images}, nan_ok=True)
-
-
-def test_all_seven_metrics_are_in_a_trainings_row(make_run, make_scores, give):
-    give(lambda variant, seed: make_scores({"dual": 0.2}[variant] + 0.1 * seed))
-    row = method_row(collect(make_run(), ["dual"], [0, 2]), "dual", note="more")
-    assert row["variant"] == "dual" and row["source"] == "measured" and row["leak"] == ""
-    assert row["seeds"] == "0 2" and row["n"] == 6
-    assert row["note"] == "resnet18, 192x576, no ImageNet weights, 100 steps, last epoch, more"
-    for metric in METRICS:
-        assert row[metric] == pytest.approx(0.3)
-        assert row[f"{metric}_std"] == pytest.approx(0.1 * math.sqrt(2))
 
 
 def test_a_variant_that_is_not_trained_says_so_and_is_not_asked_for_scores(make_run, make_scores, give):

@@ -20,12 +20,6 @@ FAULT = {("dual_no_sa", ROAD): 0.3, ("dual", ROAD): 0.1, ("dual_no_sa", GREEN): 
 """By how much each network is wrong; the median depth is a building's, which is exact, so the median ratio is that of exact depth."""
 
 
-def truths():
-    rng = np.random.default_rng(0)
-    columns = [rng.uniform(8.5, 19, (3, 30, 15)), rng.uniform(4, 7, (3, 30, 5)), rng.uniform(25, 50, (3, 30, 10))]
-    return list(np.concatenate(columns, axis=2))
-
-
 def labels(image):
     """A building, trees over grass, a road; the last image has no green."""
     row = np.repeat(np.array([2, 8, 0] if image < 2 else [2, 2, 0], np.uint8), [15, 5, 10])
@@ -35,13 +29,13 @@ def labels(image):
 
 
 @pytest.fixture
-def prepare(make_run, give_maps, tmp_path):
+def prepare(make_run, give_maps, truths, tmp_path):
     """A run with three scored frames, their label maps, and predictions with the faults."""
 
     def disparities(variant, seed):
         fault = {region: FAULT[variant, region] + 0.1 * seed * (region == ROAD) for region in REGIONS}
         wrong = [1 + sum(np.isin(labels(i), REGIONS[region]) * fault[region] for region in REGIONS) for i in range(3)]
-        return 0.7 / np.stack([t * w for t, w in zip(truths(), wrong)])  # of any scale
+        return 0.7 / np.stack([t * w for t, w in zip(truths, wrong)])  # of any scale
 
     def prepare(*arguments, with_labels=True, **settings):
         run = make_run(*arguments, frames=3, **settings)
@@ -52,7 +46,7 @@ def prepare(make_run, give_maps, tmp_path):
             cv2.imwrite(str(label_path(root, frame)), labels(image))
         return run
 
-    give_maps(disparities, truths())
+    give_maps(disparities, truths)
     return prepare
 
 

@@ -102,11 +102,27 @@ def test_at_high_resolution_there_is_no_feature_loss_whatever_its_weight(batch, 
 
 
 @pytest.mark.parametrize("low", [True, False])
-@pytest.mark.parametrize("changes", [{"alpha": 0.3}, {"mean_disparity": 2.0}, {"beyond_paper_automask": True}, {"scales": 2}], ids=str)
+@pytest.mark.parametrize(
+    "changes",
+    [{"alpha": 0.3}, {"mean_disparity": 2.0}, {"beyond_paper_automask": True}, {"beyond_paper_full_resolution": True}, {"scales": 2}],
+    ids=str,
+)
 def test_the_profiles_loss_is_taken(batch, changes, low):
     stage = seen_stage(low, **changes)
     assert stage(batch).losses.photometric != seen_stage(low)(batch).losses.photometric
     assert stage.depth_net.scales == changes.get("scales", 4)
+
+
+@pytest.mark.parametrize("low", [True, False])
+def test_the_networks_see_other_colours_alike_in_all_views_and_the_losses_the_frames(batch, asked, low):
+    stage, grey = seen_stage(low), torch.full((2, 3, 3, 4, 4), 0.5)
+    plain, stage.colour = stage(batch), 0.2
+    stage.eval()(batch)
+    coloured = stage.train()(batch)
+    assert torch.equal(asked[0][0], asked[2][0]) and torch.equal(asked[1][3], asked[0][3]) and not torch.equal(asked[2][3], plain.poses)
+    found = stages.recoloured(grey, 0.2)
+    assert torch.equal(coloured.target, plain.target) and 0.4 <= found.min() < found.max() <= 0.6
+    assert (found == found[:, :1, :1, :1, :1]).all() and found[0, 0, 0, 0, 0] != found[1, 0, 0, 0, 0]
 
 
 def test_in_a_corridor_posenet_learns_alone(batch, asked):
