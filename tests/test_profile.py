@@ -40,12 +40,10 @@ def test_the_paper_profile_is_the_papers_recipe():
     profile = load_profile("paper")
     training = profile.training
     for stage in (training.lr, training.hr):
-        assert (stage.epochs, stage.max_steps) == (40, None)
-        assert (stage.batch_size, stage.beta1, stage.beta2) == (4, 0.9, 0.999)
+        assert (stage.epochs, stage.max_steps, stage.batch_size, stage.beta1, stage.beta2) == (40, None, 4, 0.9, 0.999)
         assert stage.learning_rates == [(10, 2e-4), (20, 1e-4), (40, 5e-5)]
     assert (profile.data.hr_size, profile.data.lr_size) == (HR_SIZE, LR_SIZE) == ((384, 1248), (128, 416))
-    assert (training.loss.alpha, training.loss.scales) == (0.85, 4)
-    assert (training.encoder, training.pretrained) == ("resnet50", True)
+    assert (training.loss.alpha, training.loss.scales, training.encoder, training.pretrained) == (0.85, 4, "resnet50", True)
     assert training.augmentation.augment_first and training.loss.feature > 0
     assert (profile.data.train_list, profile.data.test_list) == ("eigen_zhou", "eigen_test")
 
