@@ -56,7 +56,7 @@ def winding(count):
 
 def of_a_car(yaws, steps):
     """Poses of a car that turns by `yaws` degrees to the right and then goes `steps` metres forward."""
-    return driven(Rotation.from_euler("y", yaws, degrees=True), np.outer(steps, [0, 0, 1]))
+    return driven(Rotation.from_euler("y", np.reshape(yaws, (-1, 1)), degrees=True), np.outer(steps, [0, 0, 1]))
 
 
 def motions_of(poses):
