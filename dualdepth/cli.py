@@ -285,7 +285,7 @@ def _predict(arguments: argparse.Namespace) -> int:
 
 def _export(arguments: argparse.Namespace) -> None:
     """Write a trained depth network as one ONNX file: image (B, 3, H, W), RGB, float32 in [0, 1] -> disparity (B, 1, h, w) of unknown
-    scale; B is free. `dualdepth predict` gives depth = 16 / disparity. It is compared with PyTorch in ONNX Runtime, and kept only if they
+    scale; B is free. `dualdepth predict` gives depth = 1 / disparity. It is compared with PyTorch in ONNX Runtime, and kept only if they
     agree to a thousandth.
     """
     from dualdepth.inference.export import export_onnx

@@ -24,8 +24,6 @@ from dualdepth.networks.architecture import Architecture, HRSize
 from dualdepth.networks.pose_net import EncoderPoseNet, PoseNet, make_pose_net
 from dualdepth.training.weights import HUB_CARD, load_card, load_weights, save_weights
 
-UNIT = 16.0
-"""Relative depth is reported as 16 / disparity (1.6 … 1600). Stored as uint16 × 256, as KITTI's, that resolves near depths to 0.25 %."""
 WEIGHTS = "model.safetensors"
 RELEASED = Path(__file__).parent / "released"  # The weights that come with the package (`python -m tools.publish weights`).
 Image = str | Path | np.ndarray
@@ -105,7 +103,7 @@ class DepthModel(nn.Module, ModelHubMixin):
             image: an image file, or (H, W, 3) uint8 RGB; see `Image`. Any size and aspect ratio: it is resized to the network's size.
 
         Returns:
-            (H, W) float32, positive: depth in an unknown unit (16 / the network's disparity, so from 1.6 to 1600), at the image's size.
+            (H, W) float32, positive: depth in an unknown unit (1 / the network's disparity, so from 0.1 to 100), at the image's size.
 
         Raises:
             InputError: the file is missing, broken or no image, or the array is of another shape or type.
@@ -115,7 +113,7 @@ class DepthModel(nn.Module, ModelHubMixin):
     def predict_batch(self, images: Sequence[Image]) -> list[np.ndarray]:
         """Depths of some images, of any sizes, computed together; see `predict`."""
         arrays = [_rgb(image, read_image) for image in images]
-        depths = np.float32(UNIT) / self.disparities(arrays, batch_size=len(arrays))
+        depths = np.float32(1) / self.disparities(arrays, batch_size=len(arrays))
         return [resize_bilinear(depth, array.shape[:2]) for depth, array in zip(depths, arrays)]
 
     @torch.inference_mode()

@@ -14,7 +14,7 @@ from dualdepth.data.kitti import read_image
 from dualdepth.errors import InputError
 from dualdepth.files import atomic_path, check_writable
 from dualdepth.geometry import to_unit
-from dualdepth.model import UNIT, DepthModel, load, tensor_of
+from dualdepth.model import DepthModel, load, tensor_of
 
 IMAGE, DISPARITY = "image", "disparity"  # Names of the graph's input and output.
 OPSET = 20  # The operators' version: what torch's exporter writes of itself, without converting.
@@ -97,7 +97,7 @@ def write_onnx(model: DepthModel, path: str | Path) -> None:
         {
             "about": str(model.card.get("about", f"depth network {model.architecture.network}")),
             IMAGE: f"RGB, float32 in [0, 1], (batch, 3, {model.size[0]}, {model.size[1]}); frames are resized whole to this size",
-            DISPARITY: f"1 / depth, float32, positive; `dualdepth predict` gives {UNIT:g} / disparity",
+            DISPARITY: "float32, positive; `dualdepth predict` gives depth = 1 / disparity",
             "scale": "relative: learned from video alone, depths are right up to an unknown factor and no metres",
             "hr_size": json.dumps(model.size),
             "card": json.dumps(model.card, ensure_ascii=False),
