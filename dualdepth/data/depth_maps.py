@@ -74,7 +74,7 @@ class DepthMaps(Sequence):
         if announced > LARGEST:
             raise InputError(f"{self.path}: refused, since it unpacks to {announced / 1e9:.1f} GB; {MEND}")
         with reading(f"{self.path}: {name}", f"{MEND}; of a pickled file whose source you trust pass --allow-pickle"):
-            return self._archive[name]
+            return np.asarray(self._archive[name])  # of a member that is no array, its bytes
 
 
 def load_ground_truth(path: str | Path, *, allow_pickle: bool = False) -> DepthMaps:

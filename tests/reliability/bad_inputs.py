@@ -163,7 +163,7 @@ ARRAYS = [
     *cases("depth", "P.npy", {"header cut": lambda whole: whole[:8] + b"w" + whole[9:11] + whole[12:]}),
     *cases("depth", "P.npy", {"a huge shape": replaced("(2, 10, 16)", "(2, 999999999, 16)"), "negative": replaced("(2, 10", "(2,-10")}),
     *cases("depth", "G.npz", NO_FILE | QUARTERS | {"a wrong checksum": turned(0.25), "bomb": npz_bomb}),
-    *cases("depth", "G.npz", {"no members": text(zip_of({})), "no array": text(zip_of({"a.npy": b"no array"}))}),
+    *cases("depth", "G.npz", {"no members": text(zip_of({})), "no array": text(zip_of(dict.fromkeys(("a.npy", "b.npy"), b"no array")))}),
     *cases("depth", "G.npz", {"cubes": npz_of(np.ones((2, 2, 2))), "whole numbers": npz_of(np.ones((2, 3), int))}),
     *cases("depth", "G.npz", {"pickled": npz_of(np.array([{}], object))}),
     *cases("depth", "w.json", NO_FILE | {"a list": text("[1]"), "deep": text("[" * 10**5), "drives are a number": text('{"drives": 5}')}),
