@@ -16,6 +16,10 @@ from dualdepth.training.weights import HUB_CARD, save_weights
 
 PICTURE_WIDTH = 900
 """Pixels that a picture in a published notebook has at most."""
+LIMITS = (
+    "A street seen from a car comes out soft but right in its parts, without poles and sharp edges; upright photos, people close by and"
+    " rooms come out wrong."
+)
 LICENCE = "CC BY-NC-SA 3.0, as KITTI's images from which they were learned, for non-commercial research"
 
 
@@ -61,8 +65,9 @@ def publish_weights(profile: str) -> None:
         raise InputError(f"{run.results}: only weights of one seed from KITTI come with the package, scored on drives they did not see")
     model = load(run.weights("dual", run.profile.seeds[0]), "cpu")
     scores = {name: float(row[name]) for name in ("abs_rel", "rmse", "a1")}
-    model.card |= {"scores": scores, "scored_on": f"{row['n']} frames of other drives of KITTI", "licence": LICENCE}
-    model.save_pretrained(RELEASED)  # with the page for the hub
+    model.card |= {"scores": scores, "scored_on": f"{int(row['n'])} frames of other drives of KITTI", "limits": LIMITS, "licence": LICENCE}
+    shutil.rmtree(RELEASED, ignore_errors=True)  # a page that is there would be kept
+    model.save_pretrained(RELEASED)
     card = {key: value for key, value in model.card.items() if key != "sha256"}
     save_weights(RELEASED / WEIGHTS, model, card, HUB_CARD, small=True)
     print(f"{RELEASED}: {sum(path.stat().st_size for path in RELEASED.iterdir()) / 1e6:.1f} MB")
