@@ -1,4 +1,4 @@
-"""The one error a user's mistake ends in."""
+"""The one error a user's mistake ends in, and notes on what was taken for something."""
 
 import contextlib
 import sys
@@ -18,6 +18,18 @@ class InputError(Exception):
     ...     print(error)
     nowhere.safetensors: no such weights; give model.safetensors of a training, its folder, or a name on the model hub
     """
+
+
+_NOTED: set[str] = set()
+
+
+def note(kind: str, text: str) -> None:
+    """Print one line on stderr, above any progress bar: the first of its kind in this process."""
+    from tqdm import tqdm
+
+    if kind not in _NOTED:
+        _NOTED.add(kind)
+        tqdm.write(f"note: {text}", file=sys.stderr)
 
 
 @contextlib.contextmanager
