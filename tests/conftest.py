@@ -49,6 +49,12 @@ def pytest_collection_modifyitems(items):
             item.add_marker(pytest.mark.slow)
 
 
+@pytest.fixture(autouse=True)
+def all_notes(monkeypatch):
+    """Notes that an earlier test met are said again."""
+    monkeypatch.setattr("dualdepth.errors._NOTED", set())
+
+
 @pytest.fixture(scope="session")
 def encoder(tmp_path_factory):
     """A small ResNet, as folder for `encoder`."""

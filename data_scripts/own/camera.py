@@ -39,7 +39,7 @@ def camera_of_numbers(text: str, size: tuple[int, int]) -> Camera:
         InputError: no four or six finite numbers, or numbers of frames of another size or shape.
     """
     with reading(f"--intrinsics {text!r}", "give fx,fy,cx,cy in pixels, such as 1000,1000,959.5,539.5, or a calibration file"):
-        fx, fy, cx, cy, width, height = (float(part) for part in [*text.split(","), *size[::-1]][:6])
+        fx, fy, cx, cy, width, height = map(float, text.split(",") + [*size[::-1]] * (text.count(",") == 3))
         x, y = size[1] / width, size[0] / height
     if not 0.98 < x / y < 1.02:
         raise InputError(f"--intrinsics {text!r}: the frames, {size[1]}×{size[0]}, have another shape; give numbers of these frames")
@@ -145,7 +145,7 @@ def validate(camera: Camera, what: str, told: bool = True) -> Camera:
     elif not (0 <= cx < width and 0 <= cy < height):
         wrong = "the centre lies outside of the frame; give fx,fy,cx,cy in this order, in pixels of these frames"
     elif not (told or (0.3 < cx / width < 0.7 and 0.3 < cy / height < 0.7)):
-        wrong = "the centre is far from the middle; numbers of another size of frames need it: --intrinsics fx,fy,cx,cy,width,height"
+        wrong = "the centre is far from the middle; if they are of another size, give it: --intrinsics fx,fy,cx,cy,width,height"
     else:
         return camera
     raise InputError(f"{what}: fx {fx:g}, fy {fy:g}, cx {cx:g}, cy {cy:g} for frames of {width}×{height}: {wrong}")

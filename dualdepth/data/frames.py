@@ -21,7 +21,7 @@ IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".p
 VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv", ".ts", ".mts", ".m2ts", ".3gp", ".flv", ".ogv", ".vob")
 TEXTS = (".txt", ".json", ".csv", ".xml", ".xmp", ".yaml", ".yml", ".md", ".log", ".srt", ".gpx")
 """Endings of files that go with images and videos; `is_image` and FFmpeg know others, whatever their endings."""
-FRACTION = re.compile(r"\d+\.(\d+)(?=[^\d/\\]*$)")
+LAST_NUMBER = re.compile(r"(\d+)(?:\.(\d+))?(?=[^\d/\\]*$)")
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # else FFmpeg tells of a damaged file in its own words as well
 DEFAULT_RATE = 25.0  # Frames a second where the file does not say.
 
@@ -53,9 +53,9 @@ def media(paths: Iterable[Path], where: object, videos: bool = True) -> list[Pat
     known = IMAGES + VIDEOS * videos
     usable = [p for p in files if p.suffix.lower() in known or is_image(p) or (videos and _plays(p))]
     endings = sorted({p.suffix.lower() or "no ending" for p in {*files} - {*usable}})
-    said = f"{len(files) - len(usable)} files that are no {what} are left out ({', '.join(endings)})" if endings else f"no {what} there"
+    said = f"{len(files) - len(usable)} of {len(files)} files are left out, since they are no {what} ({', '.join(endings)})"
     if not usable:
-        raise InputError(f"{where}: no {what} there; {said}; give the folder that they lie in")
+        raise InputError(f"{where}: no {what} there{f'; {said}' * bool(endings)}; give the folder that they lie in")
     if endings:
         note(f"left out of {where}", f"{where}: {said}")
     return usable
@@ -72,15 +72,15 @@ def _parts(paths: Iterable[Path]) -> dict[Path, list[str | int]]:
     """Texts and numbers of each name, in turn. `1305031102.1753` at the end is one number, in units of the finest fraction, but not
     counters, `2.9`, `2.10`. Zeros tell: fractions begin with one now and then, and are of one length or end with none."""
     names = {path: os.path.splitext(path)[0] for path in paths}
-    found = [match[0].split(".") for match in map(FRACTION.search, names.values()) if match]
+    found = [match.groups() for match in map(LAST_NUMBER.search, names.values()) if match and match[2]]
     lengths = {len(fraction) for _, fraction in found}
     begins, ends = (any(len(fraction) > 1 and fraction[place] == "0" for _, fraction in found) for place in (0, -1))
-    decimal = begins or len(lengths) == 1 or (not ends and len({whole for whole, _ in found}) > 1)
+    decimal = begins or len(lengths) == 1 or (lengths and not ends and len({whole for whole, _ in found}) > 1)
     if len(lengths) > 1 and not begins and not ends:
         taken = "a decimal" if decimal else "two numbers"
         note("points", f"{next(iter(names)).parent}: the names do not say what {'.'.join(found[0])} is; it is taken as {taken}")
     for path, name in names.items() if decimal else ():
-        names[path] = FRACTION.sub(lambda match: match[0].replace(".", "") + "0" * (max(lengths) - len(match[1])), name)
+        names[path] = LAST_NUMBER.sub(lambda match: match[1] + (match[2] or "").ljust(max(lengths), "0"), name)
     return {path: [int(t) if k % 2 else t for k, t in enumerate(re.split(r"(\d+)", name))] for path, name in names.items()}
 
 
@@ -108,9 +108,9 @@ class Video:
         codec = int(self._capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little", signed=True).decode("ascii", "replace").strip("\0")
         there, self._first = self._capture.read()
         if not there:
-            opened = f"whose codec {codec} is not decoded here, or without frames" if self._capture.isOpened() and codec else "nor an image"
+            what = f"its codec is {codec}" if self._capture.isOpened() and codec else "nor an image"
             self.close()
-            raise InputError(f"{path}: no video that can be decoded, {opened}; copy it again, or convert it: {self.convert}")
+            raise InputError(f"{path}: no video that can be decoded, {what}; copy it again, or convert it: {self.convert}")
 
     def frames(self, wanted: Container[int] | None = None) -> Iterator[tuple[int, np.ndarray]]:
         """Number, from 0, and picture of all frames that can be read, or of those whose numbers are wanted; others are not decoded."""
@@ -206,7 +206,7 @@ def _numbered_images(folder: Path) -> dict[int, Path]:
     Numbers from nearly 0 to nearly 9999 (or 999, …), with a gap of more than half of that, are of a counter that rolled over.
     """
     files = media(folder.iterdir(), folder, videos=False)
-    numbers = [(parts[-2:-1] or [0])[0] for parts in _parts(files).values()]
+    numbers = [(parts[-2:-1] or [0])[0] for parts in _parts(Path(file.name) for file in files).values()]
     steps, said = [after - before for before, after in itertools.pairwise(numbers)], ""  # no array: nanoseconds may exceed 64 bits
     if min(steps, default=1) <= 0:
         steps, said = [1] * len(steps), "the names do not say the order in time; natural order is taken"
