@@ -1,9 +1,12 @@
 """The one error a user's mistake ends in, and notes on what was taken for something."""
 
 import contextlib
+import functools
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+
+from tqdm import tqdm
 
 
 class InputError(Exception):
@@ -20,16 +23,10 @@ class InputError(Exception):
     """
 
 
-_NOTED: set[str] = set()
-
-
-def note(kind: str, text: str) -> None:
-    """Print one line on stderr, above any progress bar: the first of its kind in this process."""
-    from tqdm import tqdm
-
-    if kind not in _NOTED:
-        _NOTED.add(kind)
-        tqdm.write(f"note: {text}", file=sys.stderr)
+@functools.cache
+def note(text: str) -> None:
+    """Print one line on stderr, above any progress bar, once in a process."""
+    tqdm.write(f"note: {text}", file=sys.stderr)
 
 
 @contextlib.contextmanager

@@ -14,6 +14,8 @@ from loopback import bare_server  # noqa: F401
 from small_encoder import save_encoder
 from small_kitti import write_calibration, write_drive
 
+from dualdepth.errors import note
+
 REPOSITORY = Path(__file__).resolve().parents[1]
 SLOW = (
     *("data_scripts/test_make_miniature.py", "data_scripts/test_miniature_geometry.py", "data_scripts/test_own_camera.py"),
@@ -50,9 +52,9 @@ def pytest_collection_modifyitems(items):
 
 
 @pytest.fixture(autouse=True)
-def all_notes(monkeypatch):
+def all_notes():
     """Notes that an earlier test met are said again."""
-    monkeypatch.setattr("dualdepth.errors._NOTED", set())
+    note.cache_clear()
 
 
 @pytest.fixture(scope="session")

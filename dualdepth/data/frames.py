@@ -43,29 +43,20 @@ def is_image(path: Path) -> bool:
 
 
 def media(paths: Iterable[Path], where: object, videos: bool = True) -> list[Path]:
-    """Images, and `videos` if wanted, among files of a place, in natural order. A note tells of others, but for texts and hidden files.
-
-    Raises:
-        InputError: there are none.
-    """
-    parts, what = _parts(paths), "images or videos" if videos else "images"
+    """Images, and `videos` if wanted, among files of a place, in natural order; an `InputError` if there are none. A note tells of others,
+    but for texts and hidden files."""
+    parts, what, usable = _parts(paths), "images or videos" if videos else "images", []
     files = [p for p in sorted(parts, key=lambda p: (parts[p], p)) if p.name[0] != "." and p.suffix.lower() not in TEXTS and p.is_file()]
-    known = IMAGES + VIDEOS * videos
-    usable = [p for p in files if p.suffix.lower() in known or is_image(p) or (videos and _plays(p))]
-    endings = sorted({p.suffix.lower() or "no ending" for p in {*files} - {*usable}})
-    said = f"{len(files) - len(usable)} of {len(files)} files are left out, since they are no {what} ({', '.join(endings)})"
+    for path in files:
+        with contextlib.suppress(InputError):
+            if path.suffix.lower() in IMAGES + VIDEOS * videos or is_image(path) or (videos and Video(path).close() is None):
+                usable.append(path)
+    endings = ", ".join(sorted({path.suffix.lower() or "no ending" for path in {*files} - {*usable}}))
     if not usable:
-        raise InputError(f"{where}: no {what} there{f'; {said}' * bool(endings)}; give the folder that they lie in")
+        raise InputError(f"{where}: no {what} there; give the folder that they lie in, not {endings or 'an empty one'}")
     if endings:
-        note(f"left out of {where}", f"{where}: {said}")
+        note(f"{where}: {len(files) - len(usable)} of {len(files)} files are left out, since they are no {what} ({endings})")
     return usable
-
-
-def _plays(path: Path) -> bool:
-    with contextlib.suppress(InputError):
-        Video(path).close()
-        return True
-    return False
 
 
 def _parts(paths: Iterable[Path]) -> dict[Path, list[str | int]]:
@@ -77,8 +68,7 @@ def _parts(paths: Iterable[Path]) -> dict[Path, list[str | int]]:
     begins, ends = (any(len(fraction) > 1 and fraction[place] == "0" for _, fraction in found) for place in (0, -1))
     decimal = begins or len(lengths) == 1 or (lengths and not ends and len({whole for whole, _ in found}) > 1)
     if len(lengths) > 1 and not begins and not ends:
-        taken = "a decimal" if decimal else "two numbers"
-        note("points", f"{next(iter(names)).parent}: the names do not say what {'.'.join(found[0])} is; it is taken as {taken}")
+        note(f"{'.'.join(min(found))}, of a name, may be one number or two; {'one' if decimal else 'two'} is assumed for the order")
     for path, name in names.items() if decimal else ():
         names[path] = LAST_NUMBER.sub(lambda match: match[1] + (match[2] or "").ljust(max(lengths), "0"), name)
     return {path: [int(t) if k % 2 else t for k, t in enumerate(re.split(r"(\d+)", name))] for path, name in names.items()}
@@ -202,12 +192,10 @@ class Footage:
 
 def _numbered_images(folder: Path) -> dict[int, Path]:
     """Image files by their place in time: the last number of the name, in usual steps; where it does not rise, places in natural order.
-
-    Numbers from nearly 0 to nearly 9999 (or 999, …), with a gap of more than half of that, are of a counter that rolled over.
-    """
-    files = media(folder.iterdir(), folder, videos=False)
+    Numbers from nearly 0 to nearly 9999 (or 999, …), with a gap of more than half of that, are of a counter that rolled over."""
+    files, said = media(folder.iterdir(), folder, videos=False), ""
     numbers = [(parts[-2:-1] or [0])[0] for parts in _parts(Path(file.name) for file in files).values()]
-    steps, said = [after - before for before, after in itertools.pairwise(numbers)], ""  # no array: nanoseconds may exceed 64 bits
+    steps = [after - before for before, after in itertools.pairwise(numbers)]  # no array: nanoseconds may exceed 64 bits
     if min(steps, default=1) <= 0:
         steps, said = [1] * len(steps), "the names do not say the order in time; natural order is taken"
     elif steps and max(steps) > (turn := max(1000, 10 ** len(str(numbers[-1])))) / 2 and numbers[0] + turn - numbers[-1] < turn / 100:
@@ -215,7 +203,7 @@ def _numbered_images(folder: Path) -> dict[int, Path]:
         files, steps = files[at + 1 :] + files[: at + 1], [*steps[at + 1 :], over, *steps[:at]]
         said = "the numbers of the names roll over"
     if said:
-        note(f"order of {folder}", f"{folder}: {said}, from {files[0].name} to {files[-1].name}")
+        note(f"{folder}: {said}, from {files[0].name} to {files[-1].name}")
     usual = float(np.median(steps)) if steps else 1.0
     places = [0]
     for step in steps:  # names may be times in nanoseconds, whose steps are never quite the same

@@ -19,8 +19,7 @@ from dualdepth.errors import InputError, note, reading
 CAMERA_OF_SIDE = {"l": "image_02", "r": "image_03"}
 SUFFIXES = (".png", ".jpg", ".jpeg")
 AGAIN = "copy or download it again"
-HEIF = tuple(b"ftyp" + brand for brand in (b"heic", b"heix", b"heim", b"heis", b"hevc", b"mif1", b"msf1", b"avif", b"avis"))
-"""Bytes 4 to 12 of photos in HEIC and AVIF; Pillow and OpenCV know AVIF where they were built with it."""
+HEIF = tuple(b"ftyp" + brand for brand in b"heic heix heim heis hevc mif1 msf1 avif avis".split())  # Bytes 4 to 12 of phones' photos.
 
 
 class Frame(NamedTuple):
@@ -128,12 +127,12 @@ def read_image(path: str | Path) -> np.ndarray:
     image = cv2.imdecode(whole_image(path), cv2.IMREAD_COLOR_RGB | cv2.IMREAD_ANYDEPTH)
     if image is None:
         raise InputError(f"{path}: not an image that can be decoded; {AGAIN}, or convert it to PNG")
-    if image.dtype == np.uint16:
-        bits = next(bits for bits in (8, 10, 12, 14, 16) if image.max() < 2**bits)
-        if bits < 16:
-            note("bits", f"{path}: 16-bit file with values of {bits} bits; of these the highest 8 are taken, as of others like it")
-        return (image >> (bits - 8)).astype(np.uint8)
-    return image if image.dtype == np.uint8 else cv2.convertScaleAbs(image)
+    if image.dtype != np.uint16:
+        return image if image.dtype == np.uint8 else cv2.convertScaleAbs(image)
+    bits = next(bits for bits in (8, 10, 12, 14, 16) if image.max() < 2**bits)
+    if bits < 16:
+        note(f"{Path(path).parent}: holds 16-bit images with values of {bits} bits; the highest 8 of these are taken")
+    return (image >> (bits - 8)).astype(np.uint8)
 
 
 def whole_image(path: str | Path) -> np.ndarray:
@@ -169,10 +168,9 @@ def check_image(path: str | Path, data: np.ndarray | bytes) -> None:
             with PIL.Image.open(io.BytesIO(data)) as image:
                 image.verify()
         except PIL.UnidentifiedImageError:  # whose own message names no file
-            what, mend = "not an image that can be decoded", AGAIN
-            if bytes(data[4:12]) in HEIF:
-                what, mend = "a HEIC or AVIF photo, which is not read", f"convert it: heif-convert {Path(path).name} {Path(path).stem}.jpg"
-            raise InputError(f"{path}: {what} ({len(data)} bytes); {mend}") from None
+            heif = f"a HEIC or AVIF photo, which is not read; convert it: heif-convert {Path(path).name} {Path(path).stem}.jpg"
+            other = f"not an image that can be decoded ({len(data)} bytes); {AGAIN}"
+            raise InputError(f"{path}: {heif if bytes(data[4:12]) in HEIF else other}") from None
 
 
 def read_calibration(path: str | Path) -> dict[str, np.ndarray]:

@@ -13,7 +13,6 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field
-from io import UnsupportedOperation
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -136,7 +135,6 @@ def plan(paths: Sequence[Path], out: Path, options: dict[str, str], kinds: Seque
         entry = inputs[task.name]
         if entry["changed"] != changed:
             entry |= {"changed": changed, "since": time.time_ns()}
-        entry["size"] = size
         latest = max(since, entry["since"])
         wanted = kinds or (("side",) if task.video else ("colour", "depth"))
         tasks.append(task._replace(kinds=tuple(kind for kind in wanted if overwrite or _changed(out / task.file(kind)) <= latest)))
@@ -145,18 +143,14 @@ def plan(paths: Sequence[Path], out: Path, options: dict[str, str], kinds: Seque
 
 
 def _name(path: Path, inputs: dict[str, dict[str, Any]], changed: int, size: int) -> str:
-    """The name of a file's results: its stem, with -2, -3, … where another file has that already. It is added to `inputs`.
-
-    A file that was moved keeps its name: its former place is empty, and time, size and ending are the same.
-    """
+    """The name of a file's results: its stem, with -2, -3, … where another file has that already. It is added to `inputs`. A file that was
+    moved keeps its name: its former place is empty, and the time of its change and its size are the same."""
+    here = str(path.absolute())
     stem = path.stem.encode("utf-8", "surrogateescape")[:LONGEST].decode("utf-8", "ignore")
     for name in itertools.chain([stem], (f"{stem}-{number}" for number in itertools.count(2))):
-        entry = inputs.setdefault(name, {"path": str(path.absolute()), "changed": -1, "since": 0, "size": None})
-        before = Path(entry["path"])
-        if before == path.absolute() or (
-            (entry["changed"], entry["size"], before.suffix) == (changed, size, path.suffix) and not before.exists()
-        ):
-            entry["path"] = str(path.absolute())
+        entry = inputs.setdefault(name, {"path": here, "changed": -1, "since": 0, "size": None})
+        if entry["path"] == here or ((entry["changed"], entry["size"]) == (changed, size) and not Path(entry["path"]).exists()):
+            entry |= {"path": here, "size": size}
             return name
 
 
@@ -225,7 +219,7 @@ class Predictor:
         with _bar(ahead(pool, drawn, _coloured(self._predicted(frames))), video.announced, task.path.name, "frame") as bar:
             try:
                 write_video(self.out / task.file("side"), video.rate, bar) if side else deque(bar, maxlen=0)
-            except UnsupportedOperation as error:
+            except NotImplementedError as error:
                 return self._tell(task, f"{task.path}: {error}")
         self._save(first[0])
         self.made += 1

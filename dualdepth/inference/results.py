@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterable
-from io import UnsupportedOperation
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,7 +20,6 @@ SIDE_VIDEO = ".side.mp4"
 PNG_FACTOR = 256  # A PNG's value / 256 is the depth, as in KITTI's depth maps.
 CODEC = "mp4v"  # MPEG-4 in MP4, which every OpenCV wheel writes.
 WIDEST = 3840  # Pixels; wider or higher side-by-side frames are shrunk, since players refuse them.
-FINEST = 65535  # What the codec takes of a rate's numerator and denominator, at most.
 KITTI_FIELD_OF_VIEW = 2 * math.degrees(math.atan(1242 / 2 / 721.5377))
 """Degrees, horizontal, of KITTI's colour cameras (81.4); the default, since profiles `sample` and `paper` learn from such images."""
 TICKS, WIDEST_LABEL, SMALLEST = 5, "1.23e+45", 120
@@ -69,12 +67,8 @@ def save(kind: str, path: Path, image: np.ndarray, depth: np.ndarray, style: Sty
             words = PIL.PngImagePlugin.PngInfo()
             words.add_itxt("Description", f"value / {PNG_FACTOR} = {style.unit}; 65535 = {65535 / PNG_FACTOR:.0f} or more. {style.about}")
             values = np.clip(np.rint(depth * PNG_FACTOR), 1, 65535).astype(np.uint16)  # 0 would stand for none
-            if (share := (values == 65535).mean()) > 0.01:
-                mend = f"--scale {style.scale / 10:g} keeps it, or --save npy"
-                note(
-                    "limit",
-                    f"{share:.0%} of {path.name} is at the end of 16 bits, {65535 / PNG_FACTOR:.0f} or more, as may be others; {mend}",
-                )
+            if (values == 65535).mean() > 0.01:
+                note(f"depth from 256 up is cut off in PNG files; --scale {style.scale / 10:g} or --save npy keeps it")
             PIL.Image.fromarray(values).save(partial, pnginfo=words, compress_level=3)
         elif kind == "npy":
             np.save(partial, depth)
@@ -155,10 +149,10 @@ def write_video(path: Path, rate: float, frames: Iterable[np.ndarray]) -> None:
     Odd sizes, which the codec has not, get their last row or column twice; the rate is rounded to as many decimals as the codec takes.
 
     Raises:
-        UnsupportedOperation: the codec takes no such video.
+        NotImplementedError: the codec takes no such video.
         OSError: not all frames were written; the codec tells of no full disk, so they are counted.
     """
-    rate = round(rate, max(0, int(math.log10(FINEST / rate))))
+    rate = round(rate, max(0, int(math.log10(65535 / rate))))  # a fraction of whole numbers of 16 bits
     with atomic_path(path) as partial:
         file, count = cv2.VideoWriter(), 0
         try:
@@ -169,8 +163,8 @@ def write_video(path: Path, rate: float, frames: Iterable[np.ndarray]) -> None:
                 frame = cv2.copyMakeBorder(frame, 0, frame.shape[0] % 2, 0, frame.shape[1] % 2, cv2.BORDER_REPLICATE)
                 settings = (cv2.CAP_FFMPEG, cv2.VideoWriter_fourcc(*CODEC), rate, frame.shape[1::-1])
                 if count == 1 and not file.open(str(partial), *settings):
-                    what = f"{CODEC} video of {frame.shape[1]}×{frame.shape[0]} at {rate:g} frames a second"
-                    raise UnsupportedOperation(f"OpenCV cannot write {what}; --save depth or npy gives a file a frame")
+                    size = f"{frame.shape[1]}×{frame.shape[0]} at {rate:g} frames a second"
+                    raise NotImplementedError(f"OpenCV cannot write {CODEC} video of {size}; --save depth gives a file a frame")
                 file.write(np.ascontiguousarray(frame[..., ::-1]))
         finally:
             file.release()

@@ -82,26 +82,18 @@ def test_grey_is_repeated_over_three_channels(tmp_path, suffix):
 def test_bytes_behind_an_image_do_no_harm_and_pixels_that_are_missing_are_noticed(tmp_path, kind):
     whole, thumbnail, path = io.BytesIO(), io.BytesIO(), tmp_path / "photo"
     picture = PIL.Image.fromarray(wall(90, 120))
-    picture.resize((12, 9)).save(thumbnail, "JPEG")  # whose end is none of the photo's
-    picture.save(whole, kind.split()[-1], progressive=True, exif=b"Exif\0\0" + thumbnail.getvalue()) if "prog" in kind else picture.save(
-        whole, kind, **{"comment": thumbnail.getvalue()} if kind == "JPEG" else {}
-    )
+    picture.resize((12, 9)).save(thumbnail, "JPEG")  # whose end is not the photo's
+    words = {"exif": b"Exif\0\0" + thumbnail.getvalue(), "progressive": kind[0] == "p"} if "JPEG" in kind else {}
+    picture.save(whole, kind.split()[-1], **words)
     path.write_bytes(data := whole.getvalue())
-    expected = read_image(path)
-    film = np.random.default_rng(0).bytes(5000) + b"\xff\xd9" + bytes(200)
+    expected, film = read_image(path), np.random.default_rng(0).bytes(5000) + b"\xff\xd9" + bytes(200)
     for behind in (b"SEFT" + bytes(63), bytes(4000), film):
         path.write_bytes(data + behind)
         assert np.array_equal(read_image(path), expected)
-    for missing in (data[: len(data) // 2], data[: len(data) // 2] + film, data[:-20] if "JPEG" in kind else data[:-2000]):
+    for missing in (data[: len(data) // 2], data[: len(data) // 2] + film, data[: -20 if "JPEG" in kind else -2000]):
         path.write_bytes(missing)
         with pytest.raises(InputError, match="photo: "):
             read_image(path)
-
-
-def test_a_photo_of_a_phone_in_heic_is_named_with_what_converts_it(tmp_path):
-    (tmp_path / "a.heic").write_bytes(b"\0\0\0\x1cftypheic" + bytes(2000))
-    with pytest.raises(InputError, match=r"a\.heic: a HEIC .*heif-convert a\.heic a\.jpg"):
-        read_image(tmp_path / "a.heic")
 
 
 @pytest.mark.parametrize(("most", "bits"), [(200, 8), (1000, 10), (4000, 12), (9000, 14), (16400, 16), (65535, 16)])
@@ -112,7 +104,7 @@ def test_deep_images_show_the_bits_that_they_hold_which_is_said_once(tmp_path, c
         cv2.imwrite(str(tmp_path / f"{name}{suffix}"), deep)
         assert np.array_equal(read_image(tmp_path / f"{name}{suffix}"), np.repeat(deep[..., None] >> (bits - 8), 3, 2))
     said = capsys.readouterr().err.splitlines()
-    assert len(said) == (bits < 16) and all(f"a{suffix}: 16-bit file with values of {bits} bits" in line for line in said)
+    assert len(said) == (bits < 16) and all(f"{tmp_path}: holds 16-bit images with values of {bits} bits" in line for line in said)
 
 
 def test_intrinsics_are_those_of_the_cameras_rectified_projection(tmp_path):
