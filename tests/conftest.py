@@ -14,8 +14,6 @@ from loopback import bare_server  # noqa: F401
 from small_encoder import save_encoder
 from small_kitti import write_calibration, write_drive
 
-from dualdepth.errors import note
-
 REPOSITORY = Path(__file__).resolve().parents[1]
 SLOW = (
     *("data_scripts/test_make_miniature.py", "data_scripts/test_miniature_geometry.py", "data_scripts/test_own_camera.py"),
@@ -54,6 +52,8 @@ def pytest_collection_modifyitems(items):
 @pytest.fixture(autouse=True)
 def all_notes():
     """Notes that an earlier test met are said again."""
+    from dualdepth.errors import note
+
     note.cache_clear()
 
 

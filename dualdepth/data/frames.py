@@ -19,8 +19,7 @@ from dualdepth.files import file_digest, short_digest
 
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
 VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv", ".ts", ".mts", ".m2ts", ".3gp", ".flv", ".ogv", ".vob")
-TEXTS = (".txt", ".json", ".csv", ".xml", ".xmp", ".yaml", ".yml", ".md", ".log", ".srt", ".gpx")
-"""Endings of files that go with images and videos; `is_image` and FFmpeg know others, whatever their endings."""
+TEXTS = (".txt", ".json", ".csv", ".xml", ".xmp", ".yaml", ".yml", ".md", ".log", ".srt", ".gpx")  # They go with images and videos.
 LAST_NUMBER = re.compile(r"(\d+)(?:\.(\d+))?(?=[^\d/\\]*$)")
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # else FFmpeg tells of a damaged file in its own words as well
 DEFAULT_RATE = 25.0  # Frames a second where the file does not say.
@@ -95,12 +94,13 @@ class Video:
         """Frames that were there so far."""
         self.convert = f"ffmpeg -i {self.path.name} -crf 17 video.mp4"
         """What a user may do about a damaged one."""
-        codec = int(self._capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little", signed=True).decode("ascii", "replace").strip("\0")
         there, self._first = self._capture.read()
         if not there:
-            what = f"its codec is {codec}" if self._capture.isOpened() and codec else "nor an image"
+            codec = int(self._capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little", signed=True).decode("ascii", "replace").strip("\0")
             self.close()
-            raise InputError(f"{path}: no video that can be decoded, {what}; copy it again, or convert it: {self.convert}")
+            raise InputError(
+                f"{path}: no video that can be decoded (codec: {codec or 'none'}); copy it again, or convert it: {self.convert}"
+            )
 
     def frames(self, wanted: Container[int] | None = None) -> Iterator[tuple[int, np.ndarray]]:
         """Number, from 0, and picture of all frames that can be read, or of those whose numbers are wanted; others are not decoded."""
@@ -199,9 +199,8 @@ def _numbered_images(folder: Path) -> dict[int, Path]:
     if min(steps, default=1) <= 0:
         steps, said = [1] * len(steps), "the names do not say the order in time; natural order is taken"
     elif steps and max(steps) > (turn := max(1000, 10 ** len(str(numbers[-1])))) / 2 and numbers[0] + turn - numbers[-1] < turn / 100:
-        at, over = steps.index(max(steps)), turn - numbers[-1] + max(0, numbers[0] - 1)  # cameras have no 0
+        at, over, said = steps.index(max(steps)), turn - numbers[-1] + max(0, numbers[0] - 1), "the numbers roll over"  # cameras have no 0
         files, steps = files[at + 1 :] + files[: at + 1], [*steps[at + 1 :], over, *steps[:at]]
-        said = "the numbers of the names roll over"
     if said:
         note(f"{folder}: {said}, from {files[0].name} to {files[-1].name}")
     usual = float(np.median(steps)) if steps else 1.0

@@ -118,8 +118,7 @@ def read_image(path: str | Path) -> np.ndarray:
     """Decode an image to RGB.
 
     Returns:
-        (H, W, 3) uint8; grey files are repeated over the three channels. Of deeper files, the 8 highest of as many bits as cameras have
-        (10, 12, 14 or 16) and the largest value needs.
+        (H, W, 3) uint8; grey is repeated over the channels; of 16-bit files the 8 highest of the bits that they use (10, 12, 14 or 16).
 
     Raises:
         InputError: missing, empty, truncated or no image.

@@ -78,9 +78,8 @@ def test_names_say_which_frames_are_neighbours_and_natural_order_is_that_of_time
     footage = Footage(write_frames(tmp_path / "f", [frame(0)] * len(names), names[::-1]))
     assert numbers(footage) == expected and footage.length == len(names)
     assert [still.file.stem for still in footage.stills()] == names
-    told = [line for line in capsys.readouterr().err.splitlines() if "note: " in line]
     unsure = names[0] in ("a", "2024-01-02 10-15-59-900", "IMG_9997", "12.5000", "1.75")
-    assert len(told) == unsure and all("order" in line or "roll over" in line for line in told)
+    assert sum("order" in line or "roll over" in line for line in capsys.readouterr().err.splitlines()) == unsure
 
 
 def test_what_a_file_is_its_bytes_say_and_of_what_is_left_out_a_folder_tells(tmp_path, capsys):
@@ -90,11 +89,7 @@ def test_what_a_file_is_its_bytes_say_and_of_what_is_left_out_a_folder_tells(tmp
     pictures[0].save(tmp_path / "moves.gif", save_all=True, append_images=pictures[1:], duration=100)
     codes = {".ts": "mpg2", ".m2ts": "mpg2", ".vob": "mpg2", ".flv": "FLV1", ".3gp": "mp4v", ".mp4": "mp4v"}
     films = [write_video(tmp_path / f"v{suffix}", [frame(k) for k in range(3)], code, rate=25) for suffix, code in codes.items()]
-    films += [
-        films[-1].rename(tmp_path / "12:30.jpg"),
-        *(Path(shutil.copy(films[k], tmp_path / name)) for k, name in ((0, "f.dat"), (2, "none"))),
-    ]
-    films.pop(5)
+    films += [Path(shutil.copy(films[k], tmp_path / name)) for k, name in ((5, "12:30.jpg"), (0, "f.dat"), (2, "none"))]
     (tmp_path / "phone.heic").write_bytes(b"\0\0\0\x1cftypheic" + bytes(100))
     with pytest.raises(InputError, match=r"phone\.heic: a HEIC .*heif-convert phone\.heic phone\.jpg"):
         read_image(tmp_path / "phone.heic")
@@ -104,7 +99,7 @@ def test_what_a_file_is_its_bytes_say_and_of_what_is_left_out_a_folder_tells(tmp
     images = dict.fromkeys(("still.gif", "photo.mov", "phone.heic"), True)
     assert found == images | dict.fromkeys(("moves.gif", *(film.name for film in films)), False)
     assert all(len(list(Video(path).frames())) == 3 for path in films) and len(list(Video(tmp_path / "moves.gif").frames())) == 4
-    assert "here: 2 of 14 files are left out, since they are no images or videos (.docx, .npy)" in capsys.readouterr().err
+    assert "here: 2 of 15 files are left out, since they are no images or videos (.docx, .npy)" in capsys.readouterr().err
     assert {path.name for path in media(tmp_path.iterdir(), "here", videos=False)} == {*images, "12:30.jpg"}
 
 

@@ -97,14 +97,12 @@ def test_bytes_behind_an_image_do_no_harm_and_pixels_that_are_missing_are_notice
 
 
 @pytest.mark.parametrize(("most", "bits"), [(200, 8), (1000, 10), (4000, 12), (9000, 14), (16400, 16), (65535, 16)])
-@pytest.mark.parametrize("suffix", [".png", ".tif"])
-def test_deep_images_show_the_bits_that_they_hold_which_is_said_once(tmp_path, capsys, most, bits, suffix):
+def test_deep_images_show_the_bits_that_they_hold_which_is_said_once(tmp_path, capsys, most, bits):
     deep = np.linspace(0, most, 60 * 80).reshape(60, 80).astype(np.uint16)
-    for name in ("a", "b"):
-        cv2.imwrite(str(tmp_path / f"{name}{suffix}"), deep)
-        assert np.array_equal(read_image(tmp_path / f"{name}{suffix}"), np.repeat(deep[..., None] >> (bits - 8), 3, 2))
-    said = capsys.readouterr().err.splitlines()
-    assert len(said) == (bits < 16) and all(f"{tmp_path}: holds 16-bit images with values of {bits} bits" in line for line in said)
+    for path in (tmp_path / "a.png", tmp_path / "b.tif"):
+        cv2.imwrite(str(path), deep)
+        assert np.array_equal(read_image(path), np.repeat(deep[..., None] >> (bits - 8), 3, 2))
+    assert capsys.readouterr().err.count(f"{tmp_path}: holds 16-bit images with values of {bits} bits") == (bits < 16)
 
 
 def test_intrinsics_are_those_of_the_cameras_rectified_projection(tmp_path):
