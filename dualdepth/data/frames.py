@@ -66,10 +66,9 @@ def _parts(paths: Iterable[Path]) -> dict[Path, list[str | int]]:
     lengths = {len(fraction) for _, fraction in found}
     begins, ends = (any(len(fraction) > 1 and fraction[place] == "0" for _, fraction in found) for place in (0, -1))
     decimal = begins or len(lengths) == 1 or (lengths and not ends and len({whole for whole, _ in found}) > 1)
-    if len(lengths) > 1 and not begins and not ends:
+    if len(lengths) > 1 and not (begins or ends):
         note(f"{'.'.join(min(found))}, of a name, may be one number or two; {'one' if decimal else 'two'} is assumed for the order")
-    for path, name in names.items() if decimal else ():
-        names[path] = LAST_NUMBER.sub(lambda match: match[1] + (match[2] or "").ljust(max(lengths), "0"), name)
+    names = {p: LAST_NUMBER.sub(lambda m: m[1] + (m[2] or "").ljust(max(lengths), "0"), n) if decimal else n for p, n in names.items()}
     return {path: [int(t) if k % 2 else t for k, t in enumerate(re.split(r"(\d+)", name))] for path, name in names.items()}
 
 

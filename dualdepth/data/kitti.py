@@ -167,9 +167,8 @@ def check_image(path: str | Path, data: np.ndarray | bytes) -> None:
             with PIL.Image.open(io.BytesIO(data)) as image:
                 image.verify()
         except PIL.UnidentifiedImageError:  # whose own message names no file
-            heif = f"a HEIC or AVIF photo, which is not read; convert it: heif-convert {Path(path).name} {Path(path).stem}.jpg"
-            other = f"not an image that can be decoded ({len(data)} bytes); {AGAIN}"
-            raise InputError(f"{path}: {heif if bytes(data[4:12]) in HEIF else other}") from None
+            heif = f"a HEIC or AVIF photo, not read here; convert it: heif-convert {Path(path).name} {Path(path).stem}.jpg"
+            raise InputError(f"{path}: {heif if bytes(data[4:12]) in HEIF else f'not an image that can be decoded; {AGAIN}'}") from None
 
 
 def read_calibration(path: str | Path) -> dict[str, np.ndarray]:

@@ -163,7 +163,7 @@ def write_video(path: Path, rate: float, frames: Iterable[np.ndarray]) -> None:
                 frame = cv2.copyMakeBorder(frame, 0, frame.shape[0] % 2, 0, frame.shape[1] % 2, cv2.BORDER_REPLICATE)
                 settings = (cv2.CAP_FFMPEG, cv2.VideoWriter_fourcc(*CODEC), rate, frame.shape[1::-1])
                 if count == 1 and not file.open(str(partial), *settings):
-                    raise NotImplementedError(f"OpenCV cannot write {CODEC} of {settings[-1]} pixels at {rate:g} Hz; try --save depth")
+                    raise NotImplementedError(f"OpenCV cannot write {CODEC} of {settings[-1]} at {rate:g} Hz; try --save depth")
                 file.write(np.ascontiguousarray(frame[..., ::-1]))
         finally:
             file.release()
