@@ -69,8 +69,7 @@ def _matched_lines(path: str | Path, pattern: str, form: str) -> list[tuple]:
     """Groups of each line, all of which must match; an `InputError` names the first that does not by its number."""
     found = []
     for number, line in numbered_lines(Path(path)):
-        match = re.fullmatch(pattern, line)
-        if not match:
+        if not (match := re.fullmatch(pattern, line)):
             raise InputError(f"{path}, line {number}: {line[:80]!r} is not `{form}`")
         found.append(match.groups())
     return found
@@ -145,12 +144,13 @@ def whole_image(path: str | Path) -> np.ndarray:
     """
     with reading(path, AGAIN):
         data = np.fromfile(path, np.uint8)
-    check_image(path, data)
-    if data[:2].tobytes() == b"\xff\xd8" and b"\xff\xd9" not in data[-64:].tobytes():  # JPEG's end marker
-        with reading(path, AGAIN), PIL.Image.open(file := io.BytesIO(data)) as image:
-            if b"\xff\xd9" not in data[file.tell() :].tobytes():  # behind the header, which may hold a small picture
+    end = {b"\xff\xd8": b"\xff\xd9", b"\x89P": b"IEND"}.get(data[:2].tobytes(), b"")  # of JPEG and PNG
+    if end not in data[-64:].tobytes():
+        with reading(path, AGAIN), contextlib.suppress(PIL.UnidentifiedImageError), PIL.Image.open(file := io.BytesIO(data)) as image:
+            if end not in data[file.tell() :].tobytes():  # behind the header, which may hold a small picture
                 raise InputError(f"{path}: truncated ({data.size} bytes); {AGAIN}")
             image.load()  # refuses pixels that are not there
+    check_image(path, data)
     return data
 
 
