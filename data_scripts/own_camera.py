@@ -171,7 +171,8 @@ def main(argv: list[str] | None = None) -> None:
     add = parser.add_argument
     add("inputs", nargs="+", metavar="INPUT", help="folder of frames, or video; several of one camera are drives of one data set")
     add("--out", required=True, metavar="DIR", help="folder to make; it is the KITTI_ROOT of the training")
-    kinds = "in pixels of the frames; or a file: JSON with fx, fy, cx, cy (and distortion), another data set's own.json, KITTI's own"
+    kinds = "in pixels of the frames, or of the size behind them, FX,FY,CX,CY,W,H; or a file: JSON with fx, fy, cx, cy (and width, height, "
+    kinds += "distortion), another data set's own.json, KITTI's own"
     add("--intrinsics", default="", metavar="FX,FY,CX,CY", help=kinds)
     add("--chessboard", default="", metavar="PATH", help="folder or video of a chessboard seen from all sides, same camera mode")
     add("--squares", default="", metavar="9x6", help="the chessboard's squares, or inner corners, along and across")

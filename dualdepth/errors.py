@@ -1,9 +1,12 @@
-"""The one error a user's mistake ends in."""
+"""The one error a user's mistake ends in, and notes on what was taken for something."""
 
 import contextlib
+import functools
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+
+from tqdm import tqdm
 
 
 class InputError(Exception):
@@ -18,6 +21,12 @@ class InputError(Exception):
     ...     print(error)
     nowhere.safetensors: no such weights; give model.safetensors of a training, its folder, or a name on the model hub
     """
+
+
+@functools.cache
+def note(text: str) -> None:
+    """Print one line on stderr, above any progress bar, once in a process."""
+    tqdm.write(f"note: {text}", file=sys.stderr)
 
 
 @contextlib.contextmanager

@@ -49,6 +49,14 @@ def pytest_collection_modifyitems(items):
             item.add_marker(pytest.mark.slow)
 
 
+@pytest.fixture(autouse=True)
+def all_notes():
+    """Notes that an earlier test met are said again."""
+    from dualdepth.errors import note
+
+    note.cache_clear()
+
+
 @pytest.fixture(scope="session")
 def encoder(tmp_path_factory):
     """A small ResNet, as folder for `encoder`."""

@@ -205,6 +205,18 @@ def test_a_video_that_ends_early_gives_what_it_has_and_says_so(clip, run, out, c
     assert (out / "clip.side.mp4").is_file()
 
 
+def test_a_video_that_the_codec_does_not_take_stops_no_other(clip, photos, run, capsys, monkeypatch):
+    monkeypatch.setattr("dualdepth.inference.results.CODEC", "none")
+    assert run(clip, photos) == 1
+    said = capsys.readouterr()
+    assert f"broken: {clip}: OpenCV cannot write none of" in said.err and said.out.endswith("6 predicted, 1 broken\n")
+
+
+def test_the_card_of_weights_that_a_link_points_to_is_found(photos, run, weights, tmp_path):
+    (tmp_path / "best.safetensors").symlink_to(weights / "model.safetensors")
+    assert run(photos / "a.png", "--weights", tmp_path / "best.safetensors") == 0
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

@@ -33,14 +33,18 @@ def record(camera: Camera) -> dict[str, Any]:
 
 
 def camera_of_numbers(text: str, size: tuple[int, int]) -> Camera:
-    """Camera of `fx,fy,cx,cy` in pixels of frames of `size` (height, width).
+    """Camera of `fx,fy,cx,cy` in pixels of frames of `size` (height, width), or scaled from the size behind them, `…,width,height`.
 
     Raises:
-        InputError: no four finite numbers.
+        InputError: no four or six finite numbers, or numbers of frames of another size or shape.
     """
     with reading(f"--intrinsics {text!r}", "give fx,fy,cx,cy in pixels, such as 1000,1000,959.5,539.5, or a calibration file"):
-        fx, fy, cx, cy = (float(part) for part in text.split(","))
-    return validate(Camera(fx, fy, cx, cy, size, "given as numbers"), "--intrinsics")
+        fx, fy, cx, cy, width, height = map(float, text.split(",") + [*size[::-1]] * (text.count(",") == 3))
+        x, y = size[1] / width, size[0] / height
+    if not 0.98 < x / y < 1.02:
+        raise InputError(f"--intrinsics {text!r}: the frames, {size[1]}×{size[0]}, have another shape; give numbers of these frames")
+    camera = Camera(fx * x, fy * y, (cx + 0.5) * x - 0.5, (cy + 0.5) * y - 0.5, size, "given as numbers")
+    return validate(camera, "--intrinsics", told=text.count(",") > 3)
 
 
 def camera_of_file(path: str | Path, size: tuple[int, int]) -> Camera:
@@ -49,7 +53,7 @@ def camera_of_file(path: str | Path, size: tuple[int, int]) -> Camera:
     Raises:
         InputError: it cannot be read, holds no camera, or is of frames of another size.
     """
-    path, said, distortion, source = Path(path), size, (), f"read from {Path(path).name}"
+    path, said, distortion, source = Path(path), None, (), f"read from {Path(path).name}"
     if path.suffix.lower() != ".json":
         values = read_calibration(path)
         key = next((k for k in KEYS if k in values), KEYS[0])
@@ -58,18 +62,18 @@ def camera_of_file(path: str | Path, size: tuple[int, int]) -> Camera:
             said = tuple(calibration_entry(values, rectified, 2, path)[::-1].round().astype(int))
     else:
         with reading(path, 'give {"fx": …, "fy": …, "cx": …, "cy": …} in pixels'):
-            values = json.loads(path.read_text(encoding="utf-8"))
+            values = json.loads(path.read_text(encoding="utf-8-sig"))
             values = values.get("camera", values)
             distortion = tuple(float(v) for v in values.get("distortion", ()))
-            said = int(values.get("height", size[0])), int(values.get("width", size[1]))
+            said = (int(values["height"]), int(values["width"])) if {"height", "width"} <= {*values} else None
             numbers = (float(values[k]) for k in ("fx", "fy", "cx", "cy"))
             camera = Camera(*numbers, size, f"{values.get('origin', 'given')}; {source}", distortion)
     if len(distortion) not in (0, 4, 5, 8) or not np.isfinite(distortion).all():
         raise InputError(f"{path}: distortion has {len(distortion)} numbers; give OpenCV's k1, k2, p1, p2, k3, or none")
-    if said != size:
+    if said not in (size, None):
         sizes = f"is of {said[1]}×{said[0]} pixels, the frames have {size[1]}×{size[0]}"
         raise InputError(f"{path}: {sizes}; calibrate with frames of the same mode")
-    return validate(camera, str(path))
+    return validate(camera, str(path), told=said is not None)
 
 
 def camera_of_field(degrees: float, size: tuple[int, int]) -> Camera:
@@ -124,11 +128,12 @@ def calibrate(views: Iterable[tuple[str, np.ndarray]], squares: tuple[int, int],
     return validate(camera_of_matrix(matrix, size, origin, tuple(distortion.ravel().tolist())), what)
 
 
-def validate(camera: Camera, what: str) -> Camera:
-    """The camera, checked to be a believable one.
+def validate(camera: Camera, what: str, told: bool = True) -> Camera:
+    """The camera, checked to be a believable one; `told`: the size that its numbers are of is known to be that of the frames.
 
     Raises:
-        InputError: numbers that are not finite, a field of view outside `FIELD`, pixels far from square, an axis outside of the frame.
+        InputError: numbers that are not finite, a field of view outside `FIELD`, pixels far from square, an axis outside of the frame, or,
+            where it is not told, far from its middle.
     """
     fx, fy, cx, cy, (height, width), *_ = camera
     if not np.isfinite(camera.matrix).all() or min(fx, fy) <= 0:
@@ -139,6 +144,8 @@ def validate(camera: Camera, what: str) -> Camera:
         wrong = "fx and fy differ by more than a factor of two; give fx,fy,cx,cy in this order"
     elif not (0 <= cx < width and 0 <= cy < height):
         wrong = "the centre lies outside of the frame; give fx,fy,cx,cy in this order, in pixels of these frames"
+    elif not (told or (0.3 < cx / width < 0.7 and 0.3 < cy / height < 0.7)):
+        wrong = "the centre is far from the middle; if they are of another size, give it: --intrinsics fx,fy,cx,cy,width,height"
     else:
         return camera
     raise InputError(f"{what}: fx {fx:g}, fy {fy:g}, cx {cx:g}, cy {cy:g} for frames of {width}×{height}: {wrong}")

@@ -60,8 +60,7 @@ def write_frames(root: Path, footages: Sequence[Footage], drives: Sequence[Drive
             own = [(i, d) for i, d in enumerate(drives, 1) if d.footage == place]
             targets = {n: root / drive_name(i) / "image_02" / "data" / f"{k:010d}" for i, d in own for k, n in enumerate(d.numbers)}
             suffixes = {file.suffix.lower() for file in (footage.files or {}).values()}
-            # the chain looks up a drive's suffix once
-            copies = straighten is None and len(suffixes) == 1 and suffixes <= set(SUFFIXES)
+            copies = straighten is None and bool(suffixes) and suffixes <= set(SUFFIXES)
             for still in footage.stills(targets):
                 target = targets[still.number].with_suffix(still.file.suffix.lower() if copies else ".jpg")
                 target.parent.mkdir(parents=True, exist_ok=True)

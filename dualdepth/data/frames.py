@@ -1,21 +1,26 @@
-"""Frames of any camera: a folder of images or a video file, in their order; and how they are resampled."""
+"""Frames of any camera: files that are images or videos, a folder of images or a video, in their order; and how they are resampled."""
 
+import contextlib
 import itertools
 import math
 import os
 import re
-from collections.abc import Container, Iterator
+from collections.abc import Container, Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 import cv2
 import numpy as np
+import PIL.Image
 
-from dualdepth.data.kitti import read_image
-from dualdepth.errors import InputError
+from dualdepth.data.kitti import HEIF, read_image
+from dualdepth.errors import InputError, note
 from dualdepth.files import file_digest, short_digest
 
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
+VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv", ".ts", ".mts", ".m2ts", ".3gp", ".flv", ".ogv", ".vob")
+TEXTS = (".txt", ".json", ".csv", ".xml", ".xmp", ".yaml", ".yml", ".md", ".log", ".srt", ".gpx")  # They go with images and videos.
+LAST_NUMBER = re.compile(r"(\d+)(?:\.(\d+))?(?=[^\d/\\]*$)")
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # else FFmpeg tells of a damaged file in its own words as well
 DEFAULT_RATE = 25.0  # Frames a second where the file does not say.
 
@@ -24,6 +29,47 @@ def resample(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Resample (H, W, C) to `size` (height, width): area averages where it shrinks, bilinear where it grows."""
     shrinks = image.shape[0] >= size[0] and image.shape[1] >= size[1]
     return cv2.resize(image, (size[1], size[0]), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
+
+
+def is_image(path: Path) -> bool:
+    """Whether a file is one image, no animation and no film: by its first bytes, or where these say nothing by its ending."""
+    head = b""
+    with contextlib.suppress(OSError), path.open("rb") as file:
+        head = file.read(12)[4:]
+        with contextlib.suppress(Exception), PIL.Image.open(file) as image:  # Pillow's readers have one for each damage
+            return not (image.format in ("MPEG", "FLI") or (image.format == "GIF" and image.is_animated))
+    return head in HEIF or (path.suffix.lower() in IMAGES and head[:4] != b"ftyp")
+
+
+def media(paths: Iterable[Path], where: object, videos: bool = True) -> list[Path]:
+    """Images, and `videos` if wanted, among files of a place, in natural order; an `InputError` if there are none. A note tells of others,
+    but for texts and hidden files."""
+    parts, what, usable = _parts(paths), "images or videos" if videos else "images", []
+    files = [p for p in sorted(parts, key=lambda p: (parts[p], p)) if p.name[0] != "." and p.suffix.lower() not in TEXTS and p.is_file()]
+    for path in files:
+        with contextlib.suppress(InputError):
+            if path.suffix.lower() in IMAGES + VIDEOS * videos or is_image(path) or (videos and Video(path).close() is None):
+                usable.append(path)
+    endings = ", ".join(sorted({path.suffix.lower() or "no ending" for path in {*files} - {*usable}}))
+    if not usable:
+        raise InputError(f"{where}: no {what} there; give the folder that they lie in, not {endings or 'an empty one'}")
+    if endings:
+        note(f"{where}: {len(files) - len(usable)} of {len(files)} files are left out, since they are no {what} ({endings})")
+    return usable
+
+
+def _parts(paths: Iterable[Path]) -> dict[Path, list[str | int]]:
+    """Texts and numbers of each name, in turn. `1305031102.1753` at the end is one number, in units of the finest fraction, but not
+    counters, `2.9`, `2.10`. Zeros tell: fractions begin with one now and then, and are of one length or end with none."""
+    names = {path: os.path.splitext(path)[0] for path in paths}
+    found = [match.groups() for match in map(LAST_NUMBER.search, names.values()) if match and match[2]]
+    lengths = {len(fraction) for _, fraction in found}
+    begins, ends = (any(len(fraction) > 1 and fraction[place] == "0" for _, fraction in found) for place in (0, -1))
+    decimal = begins or len(lengths) == 1 or (lengths and not ends and len({whole for whole, _ in found}) > 1)
+    if len(lengths) > 1 and not (begins or ends):
+        note(f"{'.'.join(min(found))}, of a name, may be one number or two; {'one' if decimal else 'two'} is assumed for the order")
+    names = {p: LAST_NUMBER.sub(lambda m: m[1] + (m[2] or "").ljust(max(lengths), "0"), n) if decimal else n for p, n in names.items()}
+    return {path: [int(t) if k % 2 else t for k, t in enumerate(re.split(r"(\d+)", name))] for path, name in names.items()}
 
 
 class Video:
@@ -36,7 +82,7 @@ class Video:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)  # a file that cannot be opened is this class's to tell
-        self._capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+        self._capture = cv2.VideoCapture(str(self.path.absolute()), cv2.CAP_FFMPEG)  # absolute: what is before a colon may be a protocol
         cv2.utils.logging.setLogLevel(level)
         count, rate = self._capture.get(cv2.CAP_PROP_FRAME_COUNT), self._capture.get(cv2.CAP_PROP_FPS)
         self.announced = int(count) if 0 < count < 1e9 else None
@@ -49,8 +95,11 @@ class Video:
         """What a user may do about a damaged one."""
         there, self._first = self._capture.read()
         if not there:
+            codec = int(self._capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little", signed=True).decode("ascii", "replace").strip("\0")
             self.close()
-            raise InputError(f"{path}: no video that can be decoded, or one without frames; copy it again, or convert it: {self.convert}")
+            raise InputError(
+                f"{path}: no video that can be decoded (codec: {codec or 'none'}); copy it again, or convert it: {self.convert}"
+            )
 
     def frames(self, wanted: Container[int] | None = None) -> Iterator[tuple[int, np.ndarray]]:
         """Number, from 0, and picture of all frames that can be read, or of those whose numbers are wanted; others are not decoded."""
@@ -94,7 +143,7 @@ class FootageFrame(NamedTuple):
 
 
 class Footage:
-    """A folder of images, ordered by the last number in their names, or a video; can be gone through more than once.
+    """A folder of images, in natural order, or a video; can be gone through more than once.
 
     Raises:
         InputError: there is no such file or folder, it holds no images, or it is no video that can be read.
@@ -103,7 +152,7 @@ class Footage:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.files: dict[int, Path] | None = _numbered_images(self.path) if self.path.is_dir() else None
-        if self.files is None and (not self.path.is_file() or self.path.suffix.lower() in IMAGES):
+        if self.files is None and (not self.path.is_file() or is_image(self.path)):
             raise InputError(f"{self.path}: there is no such video and no folder of frames; give one of these")
         video = Video(self.path) if self.files is None else None
         self.length = (video.announced or 0) if video else len(self.files)
@@ -141,15 +190,18 @@ class Footage:
 
 
 def _numbered_images(folder: Path) -> dict[int, Path]:
-    """Image files by their place in time: the last number of the name, in usual steps; without numbers in the order of names."""
-    files = sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGES and not path.name.startswith("."))
-    if not files:
-        raise InputError(f"{folder}: holds no images ({', '.join(IMAGES)}); give the folder that the frames lie in")
-    numbers = [int((re.findall(r"\d{1,20}", path.stem) or [-1])[-1]) for path in files]
-    if len(set(numbers)) < len(files):
-        return dict(enumerate(files))
-    numbers, files = zip(*sorted(zip(numbers, files)))
+    """Image files by their place in time: the last number of the name, in usual steps; where it does not rise, places in natural order.
+    Numbers from nearly 0 to nearly 9999 (or 999, …), with a gap of more than half of that, are of a counter that rolled over."""
+    files, said = media(folder.iterdir(), folder, videos=False), ""
+    numbers = [(parts[-2:-1] or [0])[0] for parts in _parts(Path(file.name) for file in files).values()]
     steps = [after - before for before, after in itertools.pairwise(numbers)]  # no array: nanoseconds may exceed 64 bits
+    if min(steps, default=1) <= 0:
+        steps, said = [1] * len(steps), "the names do not say the order in time; natural order is taken"
+    elif steps and max(steps) > (turn := max(1000, 10 ** len(str(numbers[-1])))) / 2 and numbers[0] + turn - numbers[-1] < turn / 100:
+        at, over, said = steps.index(max(steps)), turn - numbers[-1] + max(0, numbers[0] - 1), "the numbers roll over"  # cameras have no 0
+        files, steps = files[at + 1 :] + files[: at + 1], [*steps[at + 1 :], over, *steps[:at]]
+    if said:
+        note(f"{folder}: {said}, from {files[0].name} to {files[-1].name}")
     usual = float(np.median(steps)) if steps else 1.0
     places = [0]
     for step in steps:  # names may be times in nanoseconds, whose steps are never quite the same

@@ -14,11 +14,12 @@ import cv2
 import numpy as np
 import PIL.Image
 
-from dualdepth.errors import InputError, reading
+from dualdepth.errors import InputError, note, reading
 
 CAMERA_OF_SIDE = {"l": "image_02", "r": "image_03"}
 SUFFIXES = (".png", ".jpg", ".jpeg")
 AGAIN = "copy or download it again"
+HEIF = tuple(b"ftyp" + brand for brand in b"heic heix heim heis hevc mif1 msf1 avif avis".split())  # Bytes 4 to 12 of phones' photos.
 
 
 class Frame(NamedTuple):
@@ -40,16 +41,16 @@ class Frame(NamedTuple):
 def read_frame_list(path: str | Path) -> list[Frame]:
     """Read a list in the field's format, one `2011_09_26/2011_09_26_drive_0052_sync 0000000000 l` a line.
 
-    The side `l` or `r` may be missing (left). Empty lines are skipped.
+    The side `l` or `r` may be missing (left). SfMLearner's `…_sync/image_02/data/0000000000.png` is read, too, and monodepth's pairs.
 
     Raises:
         InputError: no such file, no frames, or a malformed line, which is named with its number.
     """
-    pattern = r"(\d{4}_\d{2}_\d{2})/(\1_drive_\d{4}_sync) (\d{1,10})(?: ([lr]))?"
+    pattern = r"(\d{4}_\d{2}_\d{2})/(\1_drive_\d{4}_sync)(?: |/(image_0\d)/data/)(\d{1,10})(?:\.(?:png|jpe?g)(?: \S+)?)?(?: ([lr]))?"
     lines = _matched_lines(path, pattern, "date/date_drive_XXXX_sync frame l|r")
     if not lines:
         raise InputError(f"{path}: the list is empty")
-    return [Frame(f"{date}/{drive}", int(index), CAMERA_OF_SIDE[side or "l"]) for date, drive, index, side in lines]
+    return [Frame(f"{date}/{drive}", int(index), camera or CAMERA_OF_SIDE[side or "l"]) for date, drive, camera, index, side in lines]
 
 
 def read_static_frames(path: str | Path) -> set[tuple[str, int]]:
@@ -68,22 +69,21 @@ def _matched_lines(path: str | Path, pattern: str, form: str) -> list[tuple]:
     """Groups of each line, all of which must match; an `InputError` names the first that does not by its number."""
     found = []
     for number, line in numbered_lines(Path(path)):
-        match = re.fullmatch(pattern, line)
-        if not match:
+        if not (match := re.fullmatch(pattern, line)):
             raise InputError(f"{path}, line {number}: {line[:80]!r} is not `{form}`")
         found.append(match.groups())
     return found
 
 
 def numbered_lines(path: Path) -> list[tuple[int, str]]:
-    """Lines of a text file that are not blank, without the space around them, and their numbers from 1.
+    """Lines of a text file that are not blank, and their numbers from 1; without quotes and a byte order mark, words a space apart.
 
     Raises:
         InputError: it cannot be read, or is no text.
     """
     with reading(path, f"give a text file in UTF-8, or {AGAIN}"):
-        text = path.read_text(encoding="utf-8")
-    return [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
+        text = path.read_text(encoding="utf-8-sig").replace('"', " ").replace("'", " ")
+    return [(number, " ".join(line.split())) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
 
 
 def check_root(
@@ -117,19 +117,24 @@ def read_image(path: str | Path) -> np.ndarray:
     """Decode an image to RGB.
 
     Returns:
-        (H, W, 3) uint8; grey files are repeated over the three channels.
+        (H, W, 3) uint8; grey is repeated over the channels; of 16-bit files the 8 highest of the bits that they use (10, 12, 14 or 16).
 
     Raises:
         InputError: missing, empty, truncated or no image.
     """
-    image = cv2.imdecode(whole_image(path), cv2.IMREAD_COLOR_RGB)
+    image = cv2.imdecode(whole_image(path), cv2.IMREAD_COLOR_RGB | cv2.IMREAD_ANYDEPTH)
     if image is None:
-        raise InputError(f"{path}: not an image that can be decoded; {AGAIN}")
-    return image
+        raise InputError(f"{path}: not an image that can be decoded; {AGAIN}, or convert it to PNG")
+    if image.dtype != np.uint16:
+        return image if image.dtype == np.uint8 else cv2.convertScaleAbs(image)
+    bits = next(bits for bits in (8, 10, 12, 14, 16) if image.max() < 2**bits)
+    if bits < 16:
+        note(f"{Path(path).parent}: holds 16-bit images with values of {bits} bits; the highest 8 of these are taken")
+    return (image >> (bits - 8)).astype(np.uint8)
 
 
 def whole_image(path: str | Path) -> np.ndarray:
-    """Bytes of an image file, checked as far as that goes without decoding it.
+    """Bytes of an image file, checked without decoding it, if nothing is behind the image; phones write films there, which do no harm.
 
     Returns:
         (N,) uint8.
@@ -139,16 +144,18 @@ def whole_image(path: str | Path) -> np.ndarray:
     """
     with reading(path, AGAIN):
         data = np.fromfile(path, np.uint8)
-    if (data[:2].tobytes() == b"\xff\xd8" and b"\xff\xd9" not in data[-64:].tobytes()) or (
-        data[:4].tobytes() == b"\x89PNG" and b"IEND" not in data[-16:].tobytes()
-    ):
-        raise InputError(f"{path}: truncated ({data.size} bytes); {AGAIN}")
+    end = {b"\xff\xd8": b"\xff\xd9", b"\x89P": b"IEND"}.get(data[:2].tobytes(), b"")  # of JPEG and PNG
+    if end not in data[-64:].tobytes():
+        with reading(path, AGAIN), contextlib.suppress(PIL.UnidentifiedImageError), PIL.Image.open(file := io.BytesIO(data)) as image:
+            if end not in data[file.tell() :].tobytes():  # behind the header, which may hold a small picture
+                raise InputError(f"{path}: truncated ({data.size} bytes); {AGAIN}")
+            image.load()  # refuses pixels that are not there
     check_image(path, data)
     return data
 
 
 def check_image(path: str | Path, data: np.ndarray | bytes) -> None:
-    """Refuse what is no image or announces too many pixels, by its header, and a PNG whose checksums are wrong.
+    """Refuse what is no image or announces too many pixels, by its header, and a PNG that is truncated or whose checksums are wrong.
 
     OpenCV would also print to stderr for the first and allocate memory for the second.
 
@@ -160,7 +167,8 @@ def check_image(path: str | Path, data: np.ndarray | bytes) -> None:
             with PIL.Image.open(io.BytesIO(data)) as image:
                 image.verify()
         except PIL.UnidentifiedImageError:  # whose own message names no file
-            raise InputError(f"{path}: not an image that can be decoded ({len(data)} bytes); {AGAIN}") from None
+            heif = f"a HEIC or AVIF photo, not read here; convert it: heif-convert {Path(path).name} {Path(path).stem}.jpg"
+            raise InputError(f"{path}: {heif if bytes(data[4:12]) in HEIF else f'not an image that can be decoded; {AGAIN}'}") from None
 
 
 def read_calibration(path: str | Path) -> dict[str, np.ndarray]:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from dualdepth.data.kitti import SUFFIXES, Frame, image_path, intrinsics
+from dualdepth.data.kitti import SUFFIXES, Frame, intrinsics
 from dualdepth.errors import InputError, reading
 from dualdepth.files import write_text
 
@@ -94,19 +94,18 @@ def missing_files_error(what: str, root: str | Path, missing: Iterable[tuple[Fra
 
 
 def raw_triplets(root: str | Path, targets: Iterable[Frame]) -> list[Triplet]:
-    """Triplets of targets, in their order; the files' suffix is looked up once a folder.
+    """Triplets of targets, in their order; each folder is listed once, and may hold PNG and JPEG.
 
     Raises:
         InputError: a calibration is missing or cannot be read.
     """
     matrix = functools.cache(functools.partial(intrinsics, root))
-    suffixes: dict[Path, str] = {}
+    there = functools.cache(lambda folder: {*os.listdir(folder)} if folder.is_dir() else set())
     found = []
     for frame in targets:
         folder = Path(root) / frame.drive / frame.camera / "data"
-        if folder not in suffixes:
-            suffixes[folder] = (image_path(root, frame) or Path(f"any{SUFFIXES[0]}")).suffix
-        target, previous, following = (folder / f"{frame.index + offset:010d}{suffixes[folder]}" for offset in (0, -1, 1))
+        names = [[f"{frame.index + offset:010d}{suffix}" for suffix in SUFFIXES] for offset in (0, -1, 1)]
+        target, previous, following = (folder / next((name for name in some if name in there(folder)), some[0]) for some in names)
         found.append(Triplet(str(frame), (target, previous, following), matrix(frame.date, frame.camera), frame.drive))
     return found
 

@@ -21,14 +21,13 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from dualdepth.data.frames import IMAGES, Video
+from dualdepth.data.frames import Video, is_image, media
 from dualdepth.data.kitti import read_image
 from dualdepth.errors import InputError
 from dualdepth.files import locked, remove_leftovers, write_text
 from dualdepth.inference.results import SIDE_VIDEO, SUFFIXES, Style, colour_ends, picture, save, write_video
 from dualdepth.model import DepthModel
 
-VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
 STAMP = "predictions.json"
 """In the folder of results: the options that shaped them and since when (ns) these are the same; and, by the name of its results, each
 input's path, its own time (ns) and since when it has that. An input replaced by an older file so counts as changed."""
@@ -80,7 +79,7 @@ def predict_files(
 def find_inputs(given: Iterable[str | Path]) -> list[Path]:
     """Files in the order given, each once.
 
-    A file is taken whatever its ending. A folder stands for the images and videos in it (not below it), by name; a pattern
+    A file is taken whatever its ending. A folder stands for the images and videos in it (not below it), in natural order; a pattern
     (`*`, `?`, `[…]`, `**`) for those that match it. Of both, hidden files and results of an earlier prediction are left out.
 
     Raises:
@@ -90,17 +89,13 @@ def find_inputs(given: Iterable[str | Path]) -> list[Path]:
 
 
 def _files(word: str) -> list[Path]:
-    path, known = Path(word), IMAGES + VIDEOS
+    path = Path(word)
     if path.is_file():
         return [path]
     if not path.is_dir() and not glob.has_magic(word):
         raise InputError(f"{word}: no such file or folder; give an image, a video, a folder or a pattern in quotes")
     candidates = path.iterdir() if path.is_dir() else map(Path, glob.glob(word, recursive=True))
-    usable = sorted(path for path in candidates if path.suffix.lower() in known and path.is_file() and not path.name.startswith("."))
-    usable = [path for path in usable if not path.name.lower().endswith((*SUFFIXES.values(), SIDE_VIDEO))]
-    if not usable:
-        raise InputError(f"{word}: no images or videos there; known endings are {' '.join(known)}")
-    return usable
+    return media([path for path in candidates if not path.name.lower().endswith((*SUFFIXES.values(), SIDE_VIDEO))], word)
 
 
 class Task(NamedTuple):
@@ -108,12 +103,8 @@ class Task(NamedTuple):
 
     path: Path
     name: str  # Of its results.
+    video: bool  # Whether it is read as a video.
     kinds: tuple[str, ...] = ()  # Kinds of results still to be written; empty if all exist.
-
-    @property
-    def video(self) -> bool:
-        """Whether the input is read as a video, by its ending."""
-        return self.path.suffix.lower() in VIDEOS
 
     def file(self, kind: str, frame: int = 0) -> str:
         """Name of a result below the folder of results; a video has one of a kind for each frame, but `side` is a video again."""
@@ -129,7 +120,7 @@ def plan(paths: Sequence[Path], out: Path, options: dict[str, str], kinds: Seque
     """
     try:
         stamp: dict[str, Any] = json.loads((out / STAMP).read_text(encoding="utf-8"))
-        inputs = {name: {key: entry[key] for key in ("path", "changed", "since")} for name, entry in stamp["inputs"].items()}
+        inputs = {n: {key: e[key] for key in ("path", "changed", "since")} | {"size": e.get("size")} for n, e in stamp["inputs"].items()}
         before, since = dict(stamp["options"]), int(stamp["since"])
     except (OSError, ValueError, TypeError, KeyError, AttributeError):  # there is none that can be read
         before, since, inputs = {}, 0, {}
@@ -139,8 +130,9 @@ def plan(paths: Sequence[Path], out: Path, options: dict[str, str], kinds: Seque
         since = time.time_ns()
     tasks = []
     for path in paths:
-        task = Task(path, _name(path, inputs))
-        entry, changed = inputs[task.name], _changed(path)
+        changed, size = _changed(path), path.stat().st_size if path.exists() else 0
+        task = Task(path, _name(path, inputs, changed, size), not is_image(path))
+        entry = inputs[task.name]
         if entry["changed"] != changed:
             entry |= {"changed": changed, "since": time.time_ns()}
         latest = max(since, entry["since"])
@@ -150,11 +142,15 @@ def plan(paths: Sequence[Path], out: Path, options: dict[str, str], kinds: Seque
     return tasks
 
 
-def _name(path: Path, inputs: dict[str, dict[str, Any]]) -> str:
-    """The name of a file's results: its stem, with -2, -3, … where another file has that already. It is added to `inputs`."""
+def _name(path: Path, inputs: dict[str, dict[str, Any]], changed: int, size: int) -> str:
+    """The name of a file's results: its stem, with -2, -3, … where another file has that already. It is added to `inputs`. A file that was
+    moved keeps its name: its former place is empty, and the time of its change and its size are the same."""
+    here = str(path.absolute())
     stem = path.stem.encode("utf-8", "surrogateescape")[:LONGEST].decode("utf-8", "ignore")
     for name in itertools.chain([stem], (f"{stem}-{number}" for number in itertools.count(2))):
-        if inputs.setdefault(name, {"path": str(path.absolute()), "changed": -1, "since": 0})["path"] == str(path.absolute()):
+        entry = inputs.setdefault(name, {"path": here, "changed": -1, "since": 0, "size": None})
+        if entry["path"] == here or ((entry["changed"], entry["size"]) == (changed, size) and not Path(entry["path"]).exists()):
+            entry |= {"path": here, "size": size}
             return name
 
 
@@ -221,10 +217,10 @@ class Predictor:
 
         frames = (Item(task, cv2.resize(frame, video.size[::-1]), number) for number, frame in video.frames())
         with _bar(ahead(pool, drawn, _coloured(self._predicted(frames))), video.announced, task.path.name, "frame") as bar:
-            if side:
-                write_video(self.out / task.file("side"), video.rate, bar)
-            else:
-                deque(bar, maxlen=0)
+            try:
+                write_video(self.out / task.file("side"), video.rate, bar) if side else deque(bar, maxlen=0)
+            except NotImplementedError as error:
+                return self._tell(task, f"{task.path}: {error}")
         self._save(first[0])
         self.made += 1
         if video.missing:

@@ -11,6 +11,7 @@ import PIL.Image
 import PIL.PngImagePlugin
 
 from dualdepth.data.camera import Camera, centred_camera, focal_length
+from dualdepth.errors import note
 from dualdepth.files import atomic_path
 
 SUFFIXES = {"colour": ".colour.png", "depth": ".depth.png", "side": ".side.png", "npy": ".depth.npy", "ply": ".ply"}
@@ -18,7 +19,7 @@ SUFFIXES = {"colour": ".colour.png", "depth": ".depth.png", "side": ".side.png",
 SIDE_VIDEO = ".side.mp4"
 PNG_FACTOR = 256  # A PNG's value / 256 is the depth, as in KITTI's depth maps.
 CODEC = "mp4v"  # MPEG-4 in MP4, which every OpenCV wheel writes.
-WIDEST = 3840  # Pixels; wider side-by-side frames are shrunk, since players refuse them.
+WIDEST = 3840  # Pixels; wider or higher side-by-side frames are shrunk, since players refuse them.
 KITTI_FIELD_OF_VIEW = 2 * math.degrees(math.atan(1242 / 2 / 721.5377))
 """Degrees, horizontal, of KITTI's colour cameras (81.4); the default, since profiles `sample` and `paper` learn from such images."""
 TICKS, WIDEST_LABEL, SMALLEST = 5, "1.23e+45", 120
@@ -66,6 +67,8 @@ def save(kind: str, path: Path, image: np.ndarray, depth: np.ndarray, style: Sty
             words = PIL.PngImagePlugin.PngInfo()
             words.add_itxt("Description", f"value / {PNG_FACTOR} = {style.unit}; 65535 = {65535 / PNG_FACTOR:.0f} or more. {style.about}")
             values = np.clip(np.rint(depth * PNG_FACTOR), 1, 65535).astype(np.uint16)  # 0 would stand for none
+            if (values == 65535).mean() > 0.01:
+                note(f"depth from 256 up is cut off in PNG files; --scale {style.scale / 10:g} or --save npy keeps it")
             PIL.Image.fromarray(values).save(partial, pnginfo=words, compress_level=3)
         elif kind == "npy":
             np.save(partial, depth)
@@ -143,22 +146,24 @@ def _bar(height: int, ends: np.ndarray, unit: str) -> np.ndarray:
 def write_video(path: Path, rate: float, frames: Iterable[np.ndarray]) -> None:
     """Write frames (H, W, 3) uint8 RGB of one size, `rate` a second; the file is whole or absent.
 
-    Odd sizes, which the codec has not, get their last row or column twice.
+    Odd sizes, which the codec has not, get their last row or column twice; the rate is rounded to as many decimals as the codec takes.
 
     Raises:
-        OSError: the codec is not there, or not all frames were written; the codec tells of no full disk, so they are counted.
+        NotImplementedError: the codec takes no such video.
+        OSError: not all frames were written; the codec tells of no full disk, so they are counted.
     """
+    rate = round(rate, max(0, int(math.log10(65535 / rate))))  # a fraction of whole numbers of 16 bits
     with atomic_path(path) as partial:
         file, count = cv2.VideoWriter(), 0
         try:
             for count, frame in enumerate(frames, 1):
-                if frame.shape[1] > WIDEST:
-                    height = max(2, round(frame.shape[0] * WIDEST / frame.shape[1]))
-                    frame = cv2.resize(frame, (WIDEST, height), interpolation=cv2.INTER_AREA)
+                if (longest := max(frame.shape)) > WIDEST:
+                    height, width = (max(2, round(side * WIDEST / longest)) for side in frame.shape[:2])
+                    frame = cv2.resize(frame, (width, height), interpolation=cv2.INTER_AREA)
                 frame = cv2.copyMakeBorder(frame, 0, frame.shape[0] % 2, 0, frame.shape[1] % 2, cv2.BORDER_REPLICATE)
                 settings = (cv2.CAP_FFMPEG, cv2.VideoWriter_fourcc(*CODEC), rate, frame.shape[1::-1])
                 if count == 1 and not file.open(str(partial), *settings):
-                    raise OSError(f"OpenCV cannot write {CODEC} video of {frame.shape[1]}×{frame.shape[0]}")
+                    raise NotImplementedError(f"OpenCV cannot write {CODEC} of {settings[-1]} at {rate:g} Hz; try --save depth")
                 file.write(np.ascontiguousarray(frame[..., ::-1]))
         finally:
             file.release()

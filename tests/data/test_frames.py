@@ -1,12 +1,17 @@
 """Frames come in their order in time, from a folder or a video; what is missing is noticed, and what is none is named."""
 
+import shutil
+from pathlib import Path
+
 import cv2
 import numpy as np
+import PIL.Image
 import pytest
 from own_film import frame, write_frames, write_video
 from small_kitti import wall
 
-from dualdepth.data.frames import Footage, Video
+from dualdepth.data.frames import Footage, Video, is_image, media
+from dualdepth.data.kitti import read_image
 from dualdepth.errors import InputError
 
 
@@ -58,13 +63,44 @@ def numbers(footage):
         (["f10", "f20", "f30", "f50", "f60"], [0, 1, 2, 4, 5]),
         ([str(1403636579763555584 + k) for k in (0, 50_000_896, 100_000_000, 149_999_616, 400_000_000)], [0, 1, 2, 3, 8]),
         (["a", "b", "c"], [0, 1, 2]),
+        (["1305031102.875304", "1305031102.975211", "1305031103.075309", "1305031103.375300"], [0, 1, 2, 5]),
+        (["7.9", "7.95", "8", "8.05"], [0, 1, 2, 3]),
+        (["1.75", "2.5", "3.25"], [0, 1, 2]),
+        (["cam2.8", "cam2.9", "cam2.10", "cam2.12"], [0, 1, 2, 4]),
+        (["12.5000", "12.900000000", "13.100000", "13.990000000"], [0, 1, 2, 3]),
+        (["name", "name (1)", "name (2)", "name (10)"], [0, 1, 2, 10]),
+        (["2024-01-02 10-15-59-900", "2024-01-02 10-16-00-100", "2024-01-02 10-16-00-300"], [0, 1, 2]),
+        (["IMG_9997", "IMG_9998", "IMG_9999", "IMG_0001", "IMG_0002", "IMG_0004"], [0, 1, 2, 3, 4, 6]),
     ],
-    ids=["a missing number is a gap", "the last number", "tens", "nanoseconds whose steps differ", "no numbers"],
+    ids=str,
 )
-def test_names_say_which_frames_are_neighbours_and_their_last_number_orders_them(tmp_path, names, expected):
+def test_names_say_which_frames_are_neighbours_and_natural_order_is_that_of_time(tmp_path, names, expected, capsys):
     footage = Footage(write_frames(tmp_path / "f", [frame(0)] * len(names), names[::-1]))
     assert numbers(footage) == expected and footage.length == len(names)
     assert [still.file.stem for still in footage.stills()] == names
+    unsure = names[0] in ("a", "2024-01-02 10-15-59-900", "IMG_9997", "12.5000", "1.75")
+    assert sum("order" in line or "roll over" in line for line in capsys.readouterr().err.splitlines()) == unsure
+
+
+def test_what_a_file_is_its_bytes_say_and_of_what_is_left_out_a_folder_tells(tmp_path, capsys):
+    pictures = [PIL.Image.fromarray(wall(48, 64, seed=k)) for k in range(4)]
+    pictures[0].save(tmp_path / "still.gif")
+    pictures[0].save(tmp_path / "photo.mov", "JPEG")
+    pictures[0].save(tmp_path / "moves.gif", save_all=True, append_images=pictures[1:], duration=100)
+    codes = {".ts": "mpg2", ".m2ts": "mpg2", ".vob": "mpg2", ".flv": "FLV1", ".3gp": "mp4v", ".mp4": "mp4v"}
+    films = [write_video(tmp_path / f"v{suffix}", [frame(k) for k in range(3)], code, rate=25) for suffix, code in codes.items()]
+    films += [Path(shutil.copy(films[k], tmp_path / name)) for k, name in ((5, "12:30.jpg"), (0, "f.dat"), (2, "none"))]
+    (tmp_path / "phone.heic").write_bytes(b"\0\0\0\x1cftypheic" + bytes(100))
+    with pytest.raises(InputError, match=r"phone\.heic: a HEIC .*heif-convert phone\.heic phone\.jpg"):
+        read_image(tmp_path / "phone.heic")
+    for name in ("notes.txt", "own.json", ".hidden.png", "letter.docx", "array.npy"):
+        (tmp_path / name).write_bytes(b"words")
+    found = {path.name: is_image(path) for path in media(tmp_path.iterdir(), "here")}
+    images = dict.fromkeys(("still.gif", "photo.mov", "phone.heic"), True)
+    assert found == images | dict.fromkeys(("moves.gif", *(film.name for film in films)), False)
+    assert all(len(list(Video(path).frames())) == 3 for path in films) and len(list(Video(tmp_path / "moves.gif").frames())) == 4
+    assert "here: 2 of 15 files are left out, since they are no images or videos (.docx, .npy)" in capsys.readouterr().err
+    assert {path.name for path in media(tmp_path.iterdir(), "here", videos=False)} == {*images, "12:30.jpg"}
 
 
 def test_a_video_gives_the_frames_that_were_written(tmp_path):

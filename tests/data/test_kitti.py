@@ -1,9 +1,12 @@
 """Readers of KITTI's files: what they give, and the one line they say of a bad file."""
 
+import io
+
 import cv2
 import numpy as np
+import PIL.Image
 import pytest
-from small_kitti import DRIVE, write_calibration
+from small_kitti import DRIVE, wall, write_calibration
 
 from dualdepth.data.kitti import (
     Frame,
@@ -32,6 +35,15 @@ def listed(tmp_path):
 def test_a_list_in_the_fields_format_gives_frames_in_its_order(listed):
     path = listed(f"{DRIVE} 0000000007 l\n\n{DRIVE} 0000000003 r\n{DRIVE} 12\n")
     assert read_frame_list(path) == [Frame(DRIVE, 7), Frame(DRIVE, 3, "image_03"), Frame(DRIVE, 12)]
+
+
+def test_lists_of_other_scripts_and_systems_are_read(tmp_path):
+    left, right = (f"{DRIVE}/image_0{camera}/data/0000000007" for camera in (2, 3))
+    text = f'\ufeff{DRIVE}\t0000000007\tl\r\n"{DRIVE} 7 l"\r\n{left}.png\r\n{left}.jpg {right}.jpg\r\n{right}.png\r\n'
+    (tmp_path / "list.txt").write_bytes(text.encode())
+    assert read_frame_list(tmp_path / "list.txt") == [Frame(DRIVE, 7)] * 4 + [Frame(DRIVE, 7, "image_03")]
+    (tmp_path / "calib.txt").write_bytes("\ufeffP2:\t1 2\r\nT: 3\r\n".encode())
+    assert {key: row.tolist() for key, row in read_calibration(tmp_path / "calib.txt").items()} == {"P2": [1, 2], "T": [3]}
 
 
 @pytest.mark.parametrize(
@@ -64,6 +76,33 @@ def test_grey_is_repeated_over_three_channels(tmp_path, suffix):
     found = read_image(tmp_path / f"a{suffix}")
     assert found.shape == (16, 24, 3)
     assert np.abs(found.astype(int) - 77).max() <= 1
+
+
+@pytest.mark.parametrize("kind", ["JPEG", "progressive JPEG", "PNG", "TIFF", "BMP", "GIF"])
+def test_bytes_behind_an_image_do_no_harm_and_pixels_that_are_missing_are_noticed(tmp_path, kind):
+    whole, thumbnail, path = io.BytesIO(), io.BytesIO(), tmp_path / "photo"
+    picture = PIL.Image.fromarray(wall(90, 120))
+    picture.resize((12, 9)).save(thumbnail, "JPEG")  # whose end is not the photo's
+    words = {"exif": b"Exif\0\0" + thumbnail.getvalue(), "progressive": kind[0] == "p"} if "JPEG" in kind else {}
+    picture.save(whole, kind.split()[-1], **words)
+    path.write_bytes(data := whole.getvalue())
+    expected, film = read_image(path), np.random.default_rng(0).bytes(5000) + b"\xff\xd9" + bytes(200)
+    for behind in (b"SEFT" + bytes(63), bytes(4000), film):
+        path.write_bytes(data + behind)
+        assert np.array_equal(read_image(path), expected)
+    for missing in (data[: len(data) // 2], data[: len(data) // 2] + film, data[: -20 if "JPEG" in kind else -2000]):
+        path.write_bytes(missing)
+        with pytest.raises(InputError, match="photo: "):
+            read_image(path)
+
+
+@pytest.mark.parametrize(("most", "bits"), [(200, 8), (1000, 10), (4000, 12), (9000, 14), (16400, 16), (65535, 16)])
+def test_deep_images_show_the_bits_that_they_hold_which_is_said_once(tmp_path, capsys, most, bits):
+    deep = np.linspace(0, most, 60 * 80).reshape(60, 80).astype(np.uint16)
+    for path in (tmp_path / "a.png", tmp_path / "b.tif"):
+        cv2.imwrite(str(path), deep)
+        assert np.array_equal(read_image(path), np.repeat(deep[..., None] >> (bits - 8), 3, 2))
+    assert capsys.readouterr().err.count(f"{tmp_path}: holds 16-bit images with values of {bits} bits") == (bits < 16)
 
 
 def test_intrinsics_are_those_of_the_cameras_rectified_projection(tmp_path):

@@ -27,8 +27,11 @@ def names(given):
 
 def test_folders_and_patterns_stand_for_their_images_and_videos_and_each_file_comes_once_in_the_order_given(folder):
     assert names([folder]) == ["a.PNG", "b.jpg", "c.mp4", "ü x.tif"]
-    assert names(["c.mp4", "sub", ".", "./b.jpg"]) == ["c.mp4", "d.png", "a.PNG", "b.jpg", "ü x.tif"]
-    assert names(["**/*.png"]) == ["d.png"]  # results of before are left out
+    for name in ("10", "9", "9.5"):
+        (folder / f"sub/f{name}.png").touch()
+    assert names(["sub/f*"]) == ["f9.png", "f9.5.png", "f10.png"] == names(["sub"])[1:]
+    assert names(["c.mp4", "sub/d*", ".", "./b.jpg"]) == ["c.mp4", "d.png", "a.PNG", "b.jpg", "ü x.tif"]
+    assert names(["**/d.*png"]) == ["d.png"] == names(["**/[ad].*png"])  # results of before are left out
     assert names(["[ab].*"]) == ["a.PNG", "b.jpg"]
     (folder / "[1].png").touch()  # a file is taken whatever it is called
     assert names(["notes.txt", "a.depth.png", "[1].png"]) == ["notes.txt", "a.depth.png", "[1].png"]
@@ -96,6 +99,17 @@ def test_what_is_there_is_left_out_and_what_is_not_or_whose_input_changed_is_mad
         os.utime(files[1], when)
         assert left(files[1:2]) == [("colour", "depth")] == done(files[1:2])
         assert left(files[1:2]) == [()]
+
+
+def test_inputs_that_were_moved_keep_their_results_and_others_of_their_name_get_new_ones(files, tmp_path, left, done):
+    files[0].write_bytes(b"x")
+    done(files)
+    moved = [(path.parent.with_name("moved") / path.name) for path in files[:2]]
+    (tmp_path / "a").rename(tmp_path / "moved")
+    assert left(moved) == [(), ()] == left([*moved, *files[2:3]])[:2]
+    files[0].parent.mkdir()
+    files[0].write_bytes(b"another")
+    assert left([*moved, files[0]]) == [(), (), ("colour", "depth")]
 
 
 def test_other_options_make_all_again_also_what_a_later_run_asks_for(files, left, done, capsys):

@@ -30,6 +30,12 @@ def test_the_png_is_kittis_and_says_so_and_the_array_is_the_depth(depth, tmp_pat
         assert image.text["Description"] == f"value / 256 = relative depth; 65535 = 256 or more. {STYLE.about}"
 
 
+def test_a_png_of_which_much_is_at_its_end_says_so_once_and_how_to_keep_it(depth, tmp_path, capsys):
+    for far, said in ((24, 0), (25, 1), (1000, 0)):  # 1 % are allowed
+        save("depth", tmp_path / "d.png", wall(40, 60), np.where(np.arange(2400).reshape(40, 60) < far, 300, depth.clip(0, 200)), STYLE)
+        assert capsys.readouterr().err.count("from 256 up is cut off in PNG files; --scale 0.1 or --save npy keeps it\n") == said
+
+
 def read_ply(path):
     """An independent reader of binary PLY: comments, and (N, 3) points and colours."""
     head, _, body = path.read_bytes().partition(b"end_header\n")
@@ -92,23 +98,24 @@ def test_nothing_half_written_is_left(kind, tmp_path, depth, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("size", [(91, 161), (120, 320)])
-def test_a_video_that_is_written_can_be_read_again_whatever_its_size(tmp_path, size):
+@pytest.mark.parametrize(("size", "rate"), [((91, 161), 29.97), ((120, 320), 105611 / 500), ((120, 160), 655.37), ((120, 160), 1 / 30)])
+def test_a_video_that_is_written_can_be_read_again_whatever_its_size_and_rate(tmp_path, size, rate):
     path = tmp_path / "o.mp4"
     sent = [cv2.GaussianBlur(wall(*size, seed=i), (15, 15), 5) for i in range(5)]
-    write_video(path, 29.97, sent)
+    write_video(path, rate, sent)
     video = Video(path)
     read = [frame for _, frame in video.frames()]
     assert len(read) == 5
-    assert video.rate == pytest.approx(29.97, rel=1e-3)
+    assert abs(5000 / video.rate - 5000 / rate) < (1 / rate if rate > 1 else 51 / rate), "as long to a frame"
     assert read[0].shape == (size[0] + size[0] % 2, size[1] + size[1] % 2, 3)
     assert np.abs(read[0][: size[0], : size[1]].astype(int) - sent[0]).mean() < 12
 
 
 def test_frames_too_wide_for_players_are_shrunk_and_a_video_that_is_stopped_leaves_no_file(tmp_path):
     wide = np.zeros((100, 2 * WIDEST, 3), np.uint8)
-    write_video(tmp_path / "o.mp4", 10, [wide])
-    assert next(Video(tmp_path / "o.mp4").frames())[1].shape == (50, WIDEST, 3)
+    for image in (wide, wide.transpose(1, 0, 2)):
+        write_video(tmp_path / "o.mp4", 10, [image])
+        assert sorted(next(Video(tmp_path / "o.mp4").frames())[1].shape) == [3, 50, WIDEST]
 
     def stopped():
         yield wide

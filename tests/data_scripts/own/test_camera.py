@@ -62,11 +62,23 @@ def test_an_estimate_from_the_field_of_view_is_a_pinholes_and_says_that_it_is_on
         ("290,900,163,117", "fx and fy differ"),
         ("290,285,400,117", "outside of the frame"),
         ("290,285,163,-1", "outside of the frame"),
+        ("290,285,280,117", r"far from the middle.*fx,fy,cx,cy,width,height"),
+        ("290,285,163", "give fx,fy,cx,cy"),
+        ("290,285,163,117,320,120", "another shape"),
     ],
 )
 def test_numbers_that_cannot_be_are_refused_with_what_to_do(text, said):
     with pytest.raises(InputError, match=f"--intrinsics.*{said}"):
         camera_of_numbers(text, SIZE)
+
+
+def test_numbers_of_another_size_are_scaled_from_it_about_the_middles_of_pixels(tmp_path):
+    given = camera_of_numbers("721.5,721.5,609.5,172.5,1242,375", (187, 621))
+    assert given.matrix.diagonal()[:2].tolist() == [360.75, 721.5 * 187 / 375] and given.cx == 304.5
+    assert camera_of_numbers("290,285,280,117,320,240", SIZE).cx == 280  # a crop's, whose size is told
+    (tmp_path / "c.json").write_bytes('\ufeff{"fx": 721, "fy": 721, "cx": 309, "cy": 172}'.encode())
+    with pytest.raises(InputError, match=r"c\.json: .*far from the middle"):
+        camera_of_file(tmp_path / "c.json", SIZE)
 
 
 @pytest.mark.parametrize("degrees", [0.5, 151, float("nan")])
