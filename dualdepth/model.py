@@ -187,7 +187,6 @@ class DepthModel(nn.Module, ModelHubMixin):
                 reason = next(iter(str(error).splitlines()), type(error).__name__)
                 raise InputError(f"{weights}: no folder, and not to be had from the model hub ({reason}); check the name") from None
         path = path / WEIGHTS if path.is_dir() else path
-        path = path if path.with_suffix(".json").exists() or path.with_name(HUB_CARD).exists() else path.resolve()  # the card of a link
         card = load_card(path)
         _of_card(card, path.with_suffix(".json"), *Architecture.model_fields)  # a card in a file names all, and no default is taken
         model = cls(card, device=device, precision=precision)

@@ -47,14 +47,13 @@ def in_8_bits(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
 
 
 def load_card(path: str | Path) -> dict[str, Any]:
-    """Read the card of a weights file: `<name>.json` beside it, or else `config.json`, as the model hub has it.
+    """Read the card of a weights file: `<name>.json` beside it or `config.json`, as the model hub has it; of a link, beside the file itself, too.
 
     Raises:
         InputError: there is none, or it is not JSON.
     """
-    card = Path(path).with_suffix(".json")
-    if not card.exists() and card.with_name(HUB_CARD).exists():
-        card = card.with_name(HUB_CARD)
+    places = [file for place in (Path(path), Path(path).resolve()) for file in (place.with_suffix(".json"), place.with_name(HUB_CARD))]
+    card = next((file for file in places if file.exists()), places[0])
     with reading(card, "keep the weights' card beside them"):
         values = json.loads(card.read_text(encoding="utf-8"))
         if not isinstance(values, dict):
