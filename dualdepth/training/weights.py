@@ -47,7 +47,7 @@ def in_8_bits(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
 
 
 def load_card(path: str | Path) -> dict[str, Any]:
-    """Read the card of a weights file: `<name>.json` beside it or `config.json`, as the model hub has it; of a link, beside the file itself, too.
+    """Read the card of a weights file: `<name>.json` beside it or `config.json`, as the hub has it; of a link, beside the file itself, too.
 
     Raises:
         InputError: there is none, or it is not JSON.
