@@ -3,8 +3,10 @@
 Order and augmentation are functions of (seed, epoch, index), so a resume needs only the step.
 """
 
+import shutil
 import signal
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
@@ -17,6 +19,8 @@ from dualdepth.data.kitti import read_image
 from dualdepth.data.triplets import Triplet
 from dualdepth.errors import InputError
 from dualdepth.settings import Augmentation
+
+SHARED = "/dev/shm"  # Where Linux has its shared memory.
 
 
 class Crop(NamedTuple):
@@ -147,7 +151,14 @@ class StatelessBatches(Sampler[list[tuple[int, int]]]):
 
 
 def make_loader(dataset: TripletDataset, batches: StatelessBatches, workers: int) -> DataLoader:
-    """Loader of batches with `workers` processes; each decodes on one thread, so the training keeps its cores, and ends only with it."""
+    """Loader of batches with `workers` processes; each decodes on one thread, so the training keeps its cores, and ends only with it.
+
+    Their batches come through shared memory, of which containers have 64 MB; there are no more workers than it has room for, with a note.
+    """
+    size = 9 * dataset.hr_size[0] * dataset.hr_size[1] * batches.batch_size // batches.accumulate  # bytes, of all processes
+    if workers and Path(SHARED).is_dir() and (fit := shutil.disk_usage(SHARED).free // (5 * size)) < workers:  # 4 wait, 1 is in use
+        print(f"note: {SHARED} has room for {fit} of {workers} loader workers; `docker run --shm-size 2g` gives more", flush=True)
+        workers = fit
     return DataLoader(
         dataset,
         batch_sampler=batches,

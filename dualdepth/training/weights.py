@@ -55,7 +55,7 @@ def load_card(path: str | Path) -> dict[str, Any]:
     card = Path(path).with_suffix(".json")
     if not card.exists() and card.with_name(HUB_CARD).exists():
         card = card.with_name(HUB_CARD)
-    with reading(card, "keep the weights' card beside them"):
+    with reading(card if card.exists() or Path(path).exists() else path, "keep the weights' card beside them"):
         values = json.loads(card.read_text(encoding="utf-8"))
         if not isinstance(values, dict):
             raise ValueError(f"expected a mapping, found {type(values).__name__}")
