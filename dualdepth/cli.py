@@ -163,14 +163,19 @@ def _evaluate_depth(arguments: argparse.Namespace) -> None:
 
     protocol = {field.name: getattr(arguments, field.name) for field in fields(Protocol)}
     ground_truths = load_ground_truth(arguments.gt, allow_pickle=arguments.allow_pickle)
-    frames, names, held = read_frame_list(arguments.list) if arguments.list else [], ground_truths.names, len(ground_truths)
-    keyed = (listed := len(frames)) != held and all(map(str.isdecimal, names))  # else the list may lack what has no ground truth
+    frames, names, held = (
+        read_frame_list(arguments.list) if arguments.list and arguments.weights else [],
+        ground_truths.names,
+        len(ground_truths),
+    )
+    keyed = len(frames) != held and all(map(str.isdecimal, names))  # else the list may lack what has no ground truth
     places = [*map(int, names)] if keyed else [*range(held)]
-    if 0 < listed <= max(places):
-        raise InputError(f"{arguments.list}: lists {listed} frames but {arguments.gt} holds {held}; give the list it was made from")
+    if frames and len(frames) <= max(places):
+        raise InputError(f"{arguments.list}: lists {len(frames)} frames but {arguments.gt} holds {held}; give the list it was made from")
     leak = _leak_of(arguments, arguments.list, "--list", lambda _: sorted({frames[place].drive for place in places}))
     predictions = load_predictions(arguments.pred, allow_pickle=arguments.allow_pickle)
-    if (count := len(predictions)) != held and (count == listed or (not listed and count > max(places) >= held)):  # of the whole list
+    listed, last = len(frames) or ground_truths.listed, max(places)
+    if held != (count := len(predictions)) > last and (count == listed or (last >= held and not listed)):  # of the whole list
         predictions = [predictions[place] for place in places]
     # shown in a terminal only: a bar in a pipe would break the one-line error
     shown = tqdm(ground_truths, "scoring", unit="image", disable=None, leave=False)

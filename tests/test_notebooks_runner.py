@@ -1,5 +1,7 @@
 """Running a notebook: checked parameters, an executed copy that is whole or absent."""
 
+import sys
+
 import nbformat
 import pytest
 
@@ -63,6 +65,16 @@ def test_a_users_mistake_inside_a_notebook_is_one_line_outside(project, capsys):
     assert stopped.value.code == 2
     assert capsys.readouterr().err.strip().splitlines()[-1] == "error: KITTI_ROOT nowhere is not a folder"
     assert not (project / "results/00_sum.ipynb").exists()
+
+
+@pytest.mark.slow
+def test_notebooks_run_in_this_python_whatever_kernel_is_on_jupyters_path(project, monkeypatch):
+    kernel = project / "module/kernels/python3/kernel.json"
+    kernel.parent.mkdir(parents=True)
+    kernel.write_text('{"argv": ["/nowhere/python", "{connection_file}"], "display_name": "Python 3", "language": "python"}')
+    monkeypatch.setenv("JUPYTER_PATH", str(project / "module"))
+    write_notebook(project / "notebooks/00_sum.ipynb", "import sys\nprint(sys.executable)")
+    assert sys.executable in run_notebook("00_sum", "results/00_sum.ipynb", {}).read_text()
 
 
 @pytest.mark.slow

@@ -124,6 +124,7 @@ def mine(network):
 BAD_SETTINGS = [
     ("sedes: [1]\n", "unknown setting sedes; did you mean seeds"),
     ("training: {lr: {epoch: 3}}\n", "unknown setting training.lr.epoch; did you mean training.lr.epochs"),
+    ("training: {batch_size: 1}\n", "unknown setting training.batch_size; did you mean training.lr.batch_size"),
     ("  train_drive: x\n", "unknown setting data.train_drive; did you mean data.train_drives"),
     ("1: 2\n", "1"),
     ("training: {precision: float16}\n", "training.precision"),
@@ -136,7 +137,7 @@ BAD_VARIANTS = [
     ("train: {duall: }\n", "variant 'duall' is unknown; did you mean dual"),
     ("train: {dual: }\n", "dual starts from lr, which is not trained; name it too"),
     ("train: {lr: {training.lr.epoch: 3}}\n", r"variant lr: unknown setting training.lr.epoch; did you mean training.lr.epochs\?"),
-    ("train: {lr: {training.lrr.epochs: 3}}\n", "variant lr: unknown setting training.lrr"),
+    ("train: {lr: {training.lrr.epochs: 3}}\n", r"variant lr: unknown setting training.lrr.epochs; did you mean training.lr.epochs\?"),
     ("train: {lr: {training.lr.epochs: none}}\n", "variant lr: training.lr.epochs"),
     ("train: {}\n", "train"),
     ("train: {resnet18: }\n", "train: does not name lr"),
