@@ -3,6 +3,7 @@
 import argparse
 import json
 import math
+import re
 import sys
 from collections.abc import Callable
 from dataclasses import fields
@@ -163,13 +164,10 @@ def _evaluate_depth(arguments: argparse.Namespace) -> None:
 
     protocol = {field.name: getattr(arguments, field.name) for field in fields(Protocol)}
     ground_truths = load_ground_truth(arguments.gt, allow_pickle=arguments.allow_pickle)
-    frames, names, held = (
-        read_frame_list(arguments.list) if arguments.list and arguments.weights else [],
-        ground_truths.names,
-        len(ground_truths),
-    )
-    keyed = len(frames) != held and all(map(str.isdecimal, names))  # else the list may lack what has no ground truth
-    places = [*map(int, names)] if keyed else [*range(held)]
+    frames = read_frame_list(arguments.list) if arguments.list and arguments.weights else []
+    keys = [int(name) for name in ground_truths.names if re.fullmatch("[0-9]{1,9}", name)]
+    # a list may itself lack the frames that have no ground truth
+    places = keys if len(keys) == (held := len(ground_truths)) != len(frames) else [*range(held)]
     if frames and len(frames) <= max(places):
         raise InputError(f"{arguments.list}: lists {len(frames)} frames but {arguments.gt} holds {held}; give the list it was made from")
     leak = _leak_of(arguments, arguments.list, "--list", lambda _: sorted({frames[place].drive for place in places}))

@@ -43,8 +43,7 @@ def run_chain(profile: str, roots: Mapping[str, str], seeds: str, allow_leak: bo
     command += ["--cores", cores, "--nolock", "--rerun-incomplete"]
     if shutil.which("nvidia-smi"):
         command += ["--resources", "gpu=1"]  # one training at a time has the GPU to itself
-    # as one JSON value: Snakemake, which reads YAML, would take others without their quotes
-    command += [*options, "--config", f"given={json.dumps(config, ensure_ascii=False)}"]
+    command += [*options, "--config", f"given={json.dumps(config, ensure_ascii=False)}"]  # Snakemake reads YAML, and strips outer quotes
     if not os.access(os.path.expanduser("~"), os.W_OK | os.X_OK):  # as under `docker run --user`
         for name in ("XDG_CACHE_HOME", "MPLCONFIGDIR", "IPYTHONDIR", "JUPYTER_RUNTIME_DIR"):
             os.environ.setdefault(name, str(run.root / "work/home" / name.lower()))
@@ -99,8 +98,9 @@ def run_notebook(name: str, out: str | Path, parameters: dict[str, Any]) -> Path
     began = time.perf_counter()
     # what cells print is shown as it comes, progress bars included; the copy keeps the last state of a bar alone
     settings = {"progress_bar": False, "stdout_file": sys.stderr, "stderr_file": sys.stderr, "coalesce_streams": True}
-    # this Python's kernel, whatever another environment has put on JUPYTER_PATH
-    settings["kernel_manager_class"] = type("Kernel", (AsyncKernelManager,), {"kernel_spec": kernelspec.KernelSpec(**get_kernel_dict())})
+    settings["kernel_manager_class"] = type(
+        "ThisPython", (AsyncKernelManager,), {"kernel_spec": kernelspec.KernelSpec(**get_kernel_dict())}
+    )
     settings["extra_arguments"] = ["--IPKernelApp.log_level=50"]  # the kernel's own log says nothing about the notebook
     with atomic_path(out) as partial:
         try:

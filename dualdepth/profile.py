@@ -187,9 +187,7 @@ def _laid_over(base: dict[str, Any], change: dict[str, Any]) -> dict[str, Any]:
 def _mistake(error: Any) -> str:
     """One validation error as a phrase: where, what, and for an unknown key the nearest known one."""
     where = ".".join(str(part) for part in error["loc"]) or "profile"
-    if error["type"] != "extra_forbidden":
-        return f"{where}: {error['msg']}"
-    return _unknown(where)
+    return _unknown(where) if error["type"] == "extra_forbidden" else f"{where}: {error['msg']}"
 
 
 def _unknown(setting: str) -> str:

@@ -178,7 +178,6 @@ def test_folders_of_any_name_reach_the_notebooks_and_a_home_that_cannot_be_writt
 
 @pytest.mark.parametrize("dry", [[], ["--dry-run"]])
 def test_what_is_wrong_with_the_chain_itself_is_one_line(fresh, dry):
-    done = fresh.reproduce("--", "--until", "nosuch", *dry)
-    assert done.returncode == 1 and done.stderr.startswith("error: Snakefile: MissingRuleException: No rule to produce nosuch ")
+    assert fresh.reproduce("--", "--until", "x", *dry).stderr.startswith("error: Snakefile: MissingRuleException: No rule to produce x ")
     (fresh.root / "Snakefile").open("a").write("\nraise ValueError('a\\nmistake')\n")
     assert fresh.reproduce("--", *dry).stderr == "error: Snakefile: ValueError: a mistake\n"

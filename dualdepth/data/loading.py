@@ -151,10 +151,8 @@ class StatelessBatches(Sampler[list[tuple[int, int]]]):
 
 
 def make_loader(dataset: TripletDataset, batches: StatelessBatches, workers: int) -> DataLoader:
-    """Loader of batches with `workers` processes; each decodes on one thread, so the training keeps its cores, and ends only with it.
-
-    Their batches come through shared memory, of which containers have 64 MB; there are no more workers than it has room for, with a note.
-    """
+    """Loader with `workers` processes, or what shared memory has room for (of a container 64 MB); each decodes on one thread, so the
+    training keeps its cores, and ends only with it."""
     size = 9 * dataset.hr_size[0] * dataset.hr_size[1] * batches.batch_size // batches.accumulate  # bytes, of all processes
     if workers and Path(SHARED).is_dir() and (fit := shutil.disk_usage(SHARED).free // (5 * size)) < workers:  # 4 wait, 1 is in use
         print(f"note: {SHARED} has room for {fit} of {workers} loader workers; `docker run --shm-size 2g` gives more", flush=True)

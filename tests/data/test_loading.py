@@ -93,10 +93,9 @@ def test_worker_processes_change_nothing(dataset):
 
 @pytest.mark.parametrize("workers", [0, 1, 2])
 def test_there_are_no_more_workers_than_shared_memory_has_room_for(dataset, monkeypatch, capsys, workers):
-    room = (workers + 0.5) * 5 * 2 * 9 * HR[0] * HR[1]  # batches of two triplets
-    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=int(room)))
-    loader = make_loader(dataset, StatelessBatches(4, 4, 3, 0, 5, accumulate=2), 2)
-    assert loader.num_workers == workers
+    room = int((workers + 0.5) * 5 * 2 * 9 * HR[0] * HR[1])  # batches of two triplets
+    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=room))
+    assert make_loader(dataset, StatelessBatches(4, 4, 3, 0, 5, accumulate=2), 2).num_workers == workers
     assert (f"/dev/shm has room for {workers} of 2 loader workers" in capsys.readouterr().out) == (workers < 2)
 
 
