@@ -11,7 +11,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, NoReturn
 
-from dualdepth.errors import InputError
+from dualdepth.errors import InputError, exit_on_input_error
 from dualdepth.files import atomic_path, check_writable, locked, remove_leftovers
 from dualdepth.run import Run, check_roots, parse_seeds, project_root
 
@@ -126,4 +126,5 @@ if __name__ == "__main__":  # what `run_chain` becomes: Snakemake, but what is w
 
     api.print_exception = cli.print_exception = _tell
     sys.argv.pop(0)
-    cli.main()
+    with exit_on_input_error():
+        cli.main()

@@ -20,8 +20,6 @@ from dualdepth.data.triplets import Triplet
 from dualdepth.errors import InputError
 from dualdepth.settings import Augmentation
 
-SHARED = "/dev/shm"  # Where Linux has its shared memory.
-
 
 class Crop(NamedTuple):
     """The part of a frame that is seen, in whole pixels, and whether it is mirrored."""
@@ -153,9 +151,10 @@ class StatelessBatches(Sampler[list[tuple[int, int]]]):
 def make_loader(dataset: TripletDataset, batches: StatelessBatches, workers: int) -> DataLoader:
     """Loader with `workers` processes, or what shared memory has room for (of a container 64 MB); each decodes on one thread, so the
     training keeps its cores, and ends only with it."""
-    size = 9 * dataset.hr_size[0] * dataset.hr_size[1] * batches.batch_size // batches.accumulate  # bytes, of all processes
-    if workers and Path(SHARED).is_dir() and (fit := shutil.disk_usage(SHARED).free // (5 * size)) < workers:  # 4 wait, 1 is in use
-        print(f"note: {SHARED} has room for {fit} of {workers} loader workers; `docker run --shm-size 2g` gives more", flush=True)
+    size = 9 * dataset.hr_size[0] * dataset.hr_size[1] * batches.batch_size // batches.accumulate  # bytes of a batch, of all processes
+    shared = Path("/dev/shm")  # where, of each worker, four batches wait and one is in use
+    if workers and shared.is_dir() and (fit := shutil.disk_usage(shared).free // (5 * size)) < workers:
+        print(f"note: {shared} has room for {fit} of {workers} loader workers; `docker run --shm-size 2g` gives more", flush=True)
         workers = fit
     return DataLoader(
         dataset,
