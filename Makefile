@@ -18,7 +18,13 @@ help: ## what can be made
 	@echo "               [SEEDS=0,1,2] [ALLOW_LEAK=1], and:"
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 12
 
+# a folder's name reaches the shell as it was given, with all of $ # ' and blanks
+quoted = '$(subst ','\'',$(value $(1)))'
+
+# commands in .venv/bin name their Python by its full path
 env: $(STAMP) ## make .venv from environment.lock
+	@grep -qsF "$$(realpath $(VENV))/bin/python" $(VENV)/bin/pip || $(VENV)/bin/pip --version > /dev/null 2>&1 || \
+	    { echo "error: $(VENV) was made where this folder was before; 'rm -r $(VENV) && make env' makes it anew" >&2; exit 1; }
 
 $(STAMP): environment.lock pyproject.toml
 	test -x $(VENV)/bin/python || $(PYTHON) -m venv $(VENV)
@@ -26,8 +32,9 @@ $(STAMP): environment.lock pyproject.toml
 	$(VENV)/bin/python -m pip install --quiet --no-deps --no-build-isolation --editable .
 	touch $@
 
-REPRODUCE = dualdepth reproduce --profile "$(PROFILE)" --kitti-root "$(KITTI_ROOT)" --test-list "$(TEST_LIST)" --seeds "$(SEEDS)" \
-    --odometry-root "$(ODOMETRY_ROOT)" --make3d-root "$(MAKE3D_ROOT)" --labels-root "$(LABELS_ROOT)" $(if $(filter 1,$(ALLOW_LEAK)),--allow-leak)
+REPRODUCE = dualdepth reproduce --profile $(call quoted,PROFILE) --kitti-root $(call quoted,KITTI_ROOT) --test-list $(call quoted,TEST_LIST) \
+    --seeds $(call quoted,SEEDS) --odometry-root $(call quoted,ODOMETRY_ROOT) --make3d-root $(call quoted,MAKE3D_ROOT) \
+    --labels-root $(call quoted,LABELS_ROOT) $(if $(filter 1,$(ALLOW_LEAK)),--allow-leak)
 
 reproduce: env ## run every notebook of a profile: data, training, tables, figures
 	@$(REPRODUCE)
@@ -81,7 +88,7 @@ notebooks: env ## store the executed tiny notebooks as the committed ones
 	python -m tools.publish notebooks
 
 publish: env ## copy a profile's tables and figures to results/published
-	python -m tools.publish results --profile "$(PROFILE)"
+	python -m tools.publish results --profile $(call quoted,PROFILE)
 
 clean: ## remove what a profile's runs made; downloads and .venv stay
 	rm -rf "work/$(PROFILE)" "results/$(PROFILE)"

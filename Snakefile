@@ -5,12 +5,13 @@ from pathlib import Path
 from dualdepth.files import file_digest, folder_digest
 from dualdepth.run import PACKAGE, RECORD, ROOTS, Run
 
-PROFILE = config.get("profile", "miniature")
+asked = config.get("given", config)  # by `dualdepth reproduce`, or `snakemake --config profile=tiny`
+PROFILE = asked.get("profile", "miniature")
 run_ = Run(PROFILE)
 NAME = run_.profile.name
-SEEDS = [int(s) for s in str(config.get("seeds", "")).split(",") if s] or run_.profile.seeds
+SEEDS = [int(s) for s in str(asked.get("seeds", "")).split(",") if s] or run_.profile.seeds
 WORK, RESULTS = f"work/{NAME}", f"results/{NAME}"
-GIVEN = {name: config.get(name) or "" for name in ROOTS} | {"allow_leak": int(config.get("allow_leak") or 0)}
+GIVEN = {name: asked.get(name) or "" for name in ROOTS} | {"allow_leak": int(asked.get("allow_leak") or 0)}
 # without odometry's frames there is nothing to train its variants on; their table says so
 DEPTH, ODOMETRY = run_.profile.trained_on("depth"), run_.profile.trained_on("odometry")
 TRAINED = DEPTH + (ODOMETRY if run_.profile.world or GIVEN["odometry_root"] else [])

@@ -37,11 +37,11 @@ def main(argv: Sequence[str] | None = None, *, kitti_home: str = sources.KITTI_H
     wanted = "unpack only these, such as image_02 image_03"
     add("--cameras", nargs="+", choices=sources.CAMERAS, default=sources.CAMERAS, metavar="CAMERA", help=wanted)
     add("--keep-archives", action="store_true", help="keep the zip files, in DIR/archives; else each goes once unpacked")
-    given = parser.parse_args(argv)
-    if not (given.drives or given.profile or given.odometry or given.improved_depth or given.lists_only):
-        parser.error("nothing to download: name drives, or give --profile, --odometry, --improved-depth or --lists-only")
-    root, lists, drives = given.root, given.root / "lists", list(given.drives)
     with exit_on_input_error():
+        given = parser.parse_args(argv)
+        if not (given.drives or given.profile or given.odometry or given.improved_depth or given.lists_only):
+            parser.error("nothing to download: name drives, or give --profile, --odometry, --improved-depth or --lists-only")
+        root, lists, drives = given.root, given.root / "lists", list(given.drives)
         sources.drive_archives(drives)  # a misspelt name is told before anything is fetched
         data = load_profile(given.profile).data if given.profile else None
         if data and data.source != "kitti":

@@ -49,8 +49,8 @@ def main(argv: Sequence[str] | None = None, *, home: str = MAKE3D_HOME) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--root", required=True, type=Path, metavar="DIR", help="folder to fill, then given as MAKE3D_ROOT")
     parser.add_argument("--keep-archives", action="store_true", help="keep the two archives, in DIR/archives; else each goes once unpacked")
-    given = parser.parse_args(argv)
     with exit_on_input_error():
+        given = parser.parse_args(argv)
         check_writable(given.root)
         fetched = download(MAKE3D, given.root, home, check=check_content, keep_archives=given.keep_archives)
         find_pairs(given.root)

@@ -55,8 +55,8 @@ def main(argv: list[str] | None = None) -> None:
     kind.add_argument("--camera-z", action="store_true", help="depth along the camera's axis instead of the laser's forward coordinate")
     kind.add_argument("--improved", metavar="ROOT", help="take KITTI's accumulated maps (data_depth_annotated) under this folder instead")
     parser.add_argument("--allow-missing", action="store_true", help="leave out frames whose file is missing; else they are an error")
-    given = parser.parse_args(argv)
     with exit_on_input_error():
+        given = parser.parse_args(argv)
         if not (given.kitti or given.improved):
             raise InputError("give --kitti ROOT, the folder that holds 2011_09_26, 2011_09_28, …")
         frames = read_frame_list(given.list)
@@ -67,7 +67,7 @@ def main(argv: list[str] | None = None) -> None:
             find, read = partial(velodyne_path, root), partial(ground_truth, root, camera_z=given.camera_z)
         present = present_frames([find(frame) for frame in frames], frames, given.allow_missing)
         maps = depth_maps([frames[number] for number in present], read)
-        count = save_ground_truth(given.out, maps, (f"{number:06d}" for number in present))
+        count = save_ground_truth(given.out, maps, (f"{number:06d}" for number in present), len(frames))
         print(f"{given.out}: {count} depth maps")
 
 

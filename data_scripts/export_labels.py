@@ -172,8 +172,8 @@ def main(argv: list[str] | None = None) -> None:
     add("--batch-size", type=int, default=4, metavar="N", help="images at once (default: %(default)s)")
     add("--allow-missing", action="store_true", help="leave out frames whose image is missing; else they are an error")
     add("--allow-pickle", action="store_true", help="read weights that are no safetensors; only from a source you trust")
-    given = parser.parse_args(argv)
     with exit_on_input_error():
+        given = parser.parse_args(argv)
         if given.batch_size < 1:
             raise InputError(f"--batch-size {given.batch_size}: must be 1 or more")
         images = wanted_maps(given.kitti, given.frame_list, given.out, given.allow_missing)

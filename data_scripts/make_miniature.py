@@ -95,8 +95,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--profile", default="miniature", help="profile with a section `world`: tiny, miniature, or a YAML file")
     parser.add_argument("--out", type=Path, help="folder to write (default: work/<profile>/miniature)")
-    given = parser.parse_args(arguments)
     with exit_on_input_error():
+        given = parser.parse_args(arguments)
         settings = load_profile(given.profile)
         if settings.world is None:
             raise InputError(f"profile {given.profile}: has no section `world`; choose tiny or miniature")

@@ -181,8 +181,8 @@ def main(argv: list[str] | None = None) -> None:
     add("--held-out", type=int, metavar="N", help="frames at the end to show, not to train on (default: a tenth, 3 to 40)")
     add("--name", default="own", help="of the profile that is written: results/NAME (default: %(default)s)")
     add("--anyway", action="store_true", help="make the data set even if a check fails, and record it")
-    arguments = vars(parser.parse_args(argv))
     with exit_on_input_error():
+        arguments = vars(parser.parse_args(argv))
         print(summary(make(arguments.pop("inputs"), arguments.pop("out"), **arguments)))
 
 

@@ -202,8 +202,8 @@ def main(argv: list[str] | None = None) -> None:
         "--profile", default="miniature", help="tiny, miniature, claims, sample, paper, own, or a YAML file (default: %(default)s)"
     )
     add_roots(parser)
-    arguments = parser.parse_args(argv)
     with exit_on_input_error():
+        arguments = parser.parse_args(argv)
         run = Run(arguments.profile)
         find_data(run, **{name: getattr(arguments, name) for name in (*ROOTS, "allow_leak")})
         done = prepare(run)

@@ -3,6 +3,7 @@
 import argparse
 import json
 import math
+import re
 import sys
 from collections.abc import Callable
 from dataclasses import fields
@@ -57,7 +58,7 @@ def build_parser() -> argparse.ArgumentParser:
         return parser
 
     parser = command(kinds, "depth", _evaluate_depth, "the seven depth metrics of a prediction file")
-    parser.add_argument("--pred", required=True, metavar="P.npy", help="(N, h, w) float array of predictions, any size")
+    parser.add_argument("--pred", required=True, metavar="P.npy", help="(N, h, w) float array, any size, of the list's frames or of G's")
     parser.add_argument("--gt", required=True, metavar="G.npz", help="ground truth of data_scripts/export_depth.py: one array per image")
     _add_choice(parser, "--kind", ("depth", "disparity"), "what P holds")
     _add_choice(parser, "--resize", ("depth", "disparity"), "what is resized: depth as SfMLearner and GeoNet, disparity as monodepth2")
@@ -66,7 +67,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--max-depth", type=float, default=80.0, metavar="M", help="metres (default: %(default)s)")
     parser.add_argument("--no-median-scaling", dest="median_scaling", action="store_false", help="predictions are in metres already")
     _add_choice(parser, "--valid", ("range", "positive"), "ground truth that counts: between the depths, or all above 0 (improved)")
-    parser.add_argument("--allow-pickle", action="store_true", help="read the field's pickled gt_depths.npz; only from a source you trust")
+    parser.add_argument("--allow-pickle", action="store_true", help="read pickled maps, as gt_depths.npz; only from a source you trust")
     _add_json_and_guard(parser, "--list", "FILE", "list of the frames, as given to data_scripts/export_depth.py")
 
     parser = command(kinds, "odometry", _evaluate_odometry, "errors of a camera trajectory against the true one")
@@ -162,11 +163,18 @@ def _evaluate_depth(arguments: argparse.Namespace) -> None:
     from dualdepth.evaluation.depth import Protocol, evaluate, load_predictions, summary
 
     protocol = {field.name: getattr(arguments, field.name) for field in fields(Protocol)}
-    leak = _leak_of(arguments, arguments.list, "--list", lambda path: sorted({frame.drive for frame in read_frame_list(path)}))
-    predictions = load_predictions(arguments.pred)
     ground_truths = load_ground_truth(arguments.gt, allow_pickle=arguments.allow_pickle)
-    if arguments.list and (frames := len(read_frame_list(arguments.list))) != (held := len(ground_truths)):
-        raise InputError(f"{arguments.list}: lists {frames} frames but {arguments.gt} holds {held}; give the list it was made from")
+    frames = read_frame_list(arguments.list) if arguments.list and arguments.weights else []
+    keys = [int(name) for name in ground_truths.names if re.fullmatch("[0-9]{1,9}", name)]
+    # a list may itself lack the frames that have no ground truth
+    places = keys if len(keys) == (held := len(ground_truths)) != len(frames) else [*range(held)]
+    if frames and len(frames) <= max(places):
+        raise InputError(f"{arguments.list}: lists {len(frames)} frames but {arguments.gt} holds {held}; give the list it was made from")
+    leak = _leak_of(arguments, arguments.list, "--list", lambda _: sorted({frames[place].drive for place in places}))
+    predictions = load_predictions(arguments.pred, allow_pickle=arguments.allow_pickle)
+    listed, last = len(frames) or ground_truths.listed, max(places)
+    if held != (count := len(predictions)) > last and (count == listed or (last >= held and not listed)):  # of the whole list
+        predictions = [predictions[place] for place in places]
     # shown in a terminal only: a bar in a pipe would break the one-line error
     shown = tqdm(ground_truths, "scoring", unit="image", disable=None, leave=False)
     _report(summary(evaluate(predictions, shown, name=arguments.pred, **protocol)) | leak, arguments.json)

@@ -1,7 +1,9 @@
 """The one error a user's mistake ends in, and notes on what was taken for something."""
 
 import contextlib
+import errno
 import functools
+import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -51,10 +53,17 @@ def reading(path: str | Path, mend: str) -> Iterator[None]:
 def exit_on_input_error() -> Iterator[None]:
     """Turn an `InputError`, or a file that may not be touched, into one line on stderr and exit code 2, for commands and scripts.
 
-    Ctrl-C is one line, too, and exit code 130.
+    Ctrl-C is one line, too, and exit code 130. A full disk for what is printed is exit code 1, a pipe that is closed early 141 without a
+    line; a character that the locale lacks is printed as its number.
     """
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
     try:
-        yield
+        try:
+            yield
+        finally:
+            sys.stdout.flush()
     except InputError as error:
         message = " ".join(str(error).split())
     except PermissionError as error:
@@ -62,6 +71,12 @@ def exit_on_input_error() -> Iterator[None]:
     except KeyboardInterrupt:
         print("stopped; the same command goes on where it was", file=sys.stderr)
         raise SystemExit(130) from None
+    except OSError as error:
+        if error.filename or error.errno not in (errno.EPIPE, errno.ENOSPC):
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # so that Python, at its end, finds nothing to complain of
+        said = f"error: what is printed cannot be written ({error.strerror}); free space"
+        raise SystemExit(said if error.errno == errno.ENOSPC else 141) from None
     else:
         return
     print(f"error: {message}", file=sys.stderr)

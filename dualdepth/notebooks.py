@@ -1,5 +1,6 @@
 """Notebooks: the chain of all by Snakemake, one by papermill."""
 
+import json
 import os
 import re
 import shutil
@@ -10,7 +11,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, NoReturn
 
-from dualdepth.errors import InputError
+from dualdepth.errors import InputError, exit_on_input_error
 from dualdepth.files import atomic_path, check_writable, locked, remove_leftovers
 from dualdepth.run import Run, check_roots, parse_seeds, project_root
 
@@ -38,11 +39,14 @@ def run_chain(profile: str, roots: Mapping[str, str], seeds: str, allow_leak: bo
         **{name: str(Path(value).resolve()) if value else "" for name, value in roots.items()},
         "allow_leak": int(allow_leak),
     }
-    command = [sys.executable, "-m", "snakemake", "--cores", cores, "--nolock", "--rerun-incomplete"]
-    command += ["--quiet", *(["host", "progress"] if dry else ["all"])]
+    command = [sys.executable, "-m", "dualdepth.notebooks", "snakemake", "--quiet", *(["host", "progress"] if dry else ["all"])]
+    command += ["--cores", cores, "--nolock", "--rerun-incomplete"]
     if shutil.which("nvidia-smi"):
         command += ["--resources", "gpu=1"]  # one training at a time has the GPU to itself
-    command += [*options, "--config", *(f"{k}={v}" for k, v in config.items())]
+    command += [*options, "--config", f"given={json.dumps(config, ensure_ascii=False)}"]  # Snakemake reads YAML, and strips outer quotes
+    if not os.access(os.path.expanduser("~"), os.W_OK | os.X_OK):  # as under `docker run --user`
+        for name in ("XDG_CACHE_HOME", "MPLCONFIGDIR", "IPYTHONDIR", "JUPYTER_RUNTIME_DIR"):
+            os.environ.setdefault(name, str(run.root / "work/home" / name.lower()))
     check_writable(run.root / ".snakemake")  # of which Snakemake, being quiet, would not say a word
     with nullcontext() if dry else locked(run.work / "lock", inherited=True):
         for folder in () if dry else (run.results, run.prepared):  # a training looks after its own
@@ -77,6 +81,8 @@ def run_notebook(name: str, out: str | Path, parameters: dict[str, Any]) -> Path
         RuntimeError: any other error inside it.
     """
     import papermill
+    from ipykernel.kernelspec import get_kernel_dict
+    from jupyter_client import AsyncKernelManager, kernelspec
     from nbclient.exceptions import DeadKernelError
     from papermill.exceptions import PapermillExecutionError
 
@@ -92,6 +98,9 @@ def run_notebook(name: str, out: str | Path, parameters: dict[str, Any]) -> Path
     began = time.perf_counter()
     # what cells print is shown as it comes, progress bars included; the copy keeps the last state of a bar alone
     settings = {"progress_bar": False, "stdout_file": sys.stderr, "stderr_file": sys.stderr, "coalesce_streams": True}
+    settings["kernel_manager_class"] = type(
+        "ThisPython", (AsyncKernelManager,), {"kernel_spec": kernelspec.KernelSpec(**get_kernel_dict())}
+    )
     settings["extra_arguments"] = ["--IPKernelApp.log_level=50"]  # the kernel's own log says nothing about the notebook
     with atomic_path(out) as partial:
         try:
@@ -106,3 +115,16 @@ def run_notebook(name: str, out: str | Path, parameters: dict[str, Any]) -> Path
     failed.unlink(missing_ok=True)
     print(f"✓ {title}: {time.perf_counter() - began:.0f} s", file=sys.stderr, flush=True)
     return out
+
+
+if __name__ == "__main__":  # what `run_chain` becomes: Snakemake, but what is wrong with the chain is one line, even under `--quiet all`
+    from snakemake import api, cli
+
+    def _tell(error: Exception, *_: Any) -> None:
+        if "At least one job" not in str(error):  # of which the job has told
+            print(f"error: Snakefile: {type(error).__name__}: {' '.join(str(error).split())[:500]}", file=sys.stderr)
+
+    api.print_exception = cli.print_exception = _tell
+    sys.argv.pop(0)
+    with exit_on_input_error():
+        cli.main()

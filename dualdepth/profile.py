@@ -7,6 +7,7 @@ import difflib
 import functools
 import operator
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -110,7 +111,7 @@ class Profile(Settings):
             try:
                 functools.reduce(operator.getitem, sections, values)[last] = value
             except (KeyError, TypeError):
-                raise InputError(f"variant {name}: unknown setting {dotted}") from None
+                raise InputError(f"variant {name}: {_unknown(dotted)}") from None
         try:
             profile = type(self).model_validate(values | {"train": {"lr": None}})
         except ValidationError as error:
@@ -186,13 +187,20 @@ def _laid_over(base: dict[str, Any], change: dict[str, Any]) -> dict[str, Any]:
 def _mistake(error: Any) -> str:
     """One validation error as a phrase: where, what, and for an unknown key the nearest known one."""
     where = ".".join(str(part) for part in error["loc"]) or "profile"
-    if error["type"] != "extra_forbidden":
-        return f"{where}: {error['msg']}"
-    section: type[BaseModel] = Profile
-    for part in error["loc"][:-1]:
-        if part in section.model_fields:  # else the name of an entry, such as a variant's
-            annotation = section.model_fields[str(part)].annotation
-            candidates = [annotation, *getattr(annotation, "__args__", ())]
-            section = next(c for c in candidates if isinstance(c, type) and issubclass(c, BaseModel))
-    near = difflib.get_close_matches(str(error["loc"][-1]), section.model_fields, n=1, cutoff=0.0)
-    return f"unknown setting {where}; did you mean {near[0]}?"
+    return _unknown(where) if error["type"] == "extra_forbidden" else f"{where}: {error['msg']}"
+
+
+def _unknown(setting: str) -> str:
+    """That there is no such setting, and the nearest one by its whole name, of which the last word counts twice."""
+    known = {f"{name}.{name.split('.')[-1]}": name for name in _settings(Profile, setting.split(".")[1:2])}
+    near = difflib.get_close_matches(f"{setting}.{setting.split('.')[-1]}", known, n=1, cutoff=0.0)
+    return f"unknown setting {setting}; did you mean {known[near[0]]}?"
+
+
+def _settings(section: type[BaseModel], entry: list[str], above: str = "") -> Iterator[str]:
+    """Dotted names of a section's settings; a variant's have the name of an `entry`."""
+    for key, field in section.model_fields.items():
+        yield above + key
+        for kind in (field.annotation, *getattr(field.annotation, "__args__", ())):
+            if isinstance(kind, type) and issubclass(kind, BaseModel):
+                yield from _settings(kind, entry, ".".join([above + key, *entry * (kind is Variant), ""]))

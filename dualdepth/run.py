@@ -12,6 +12,7 @@ import hashlib
 import json
 import platform
 import re
+import shutil
 import subprocess
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -200,12 +201,13 @@ class Run:
 
     @functools.cached_property
     def _revision(self) -> dict[str, Any]:
-        """Revision of the code that this run loaded, and whether it was changed since."""
+        """Revision of the checkout whose code this run loaded, and whether it was changed since; not of a repository around it."""
 
         def git(*words: str) -> str:
             return subprocess.run(["git", "-C", str(self.root), *words], capture_output=True, text=True, check=False).stdout.strip()
 
-        return {"revision": git("rev-parse", "HEAD") or "unknown", "dirty": bool(git("status", "--porcelain"))}
+        own = shutil.which("git") and Path(git("rev-parse", "--show-toplevel")) == self.root.resolve()
+        return {"revision": (own and git("rev-parse", "HEAD")) or "unknown", "dirty": bool(own and git("status", "--porcelain"))}
 
 
 def open_run(profile: str, seeds: object) -> tuple[Run, list[int]]:

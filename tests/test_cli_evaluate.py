@@ -1,6 +1,7 @@
 """`dualdepth evaluate` from outside: numbers, JSON, what cannot be measured, and one line for every mistake."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -105,11 +106,42 @@ def test_the_fields_pickled_ground_truth_needs_a_word(files, values_of, refused)
     assert values_of(depth, "--gt", "gt_depths.npz", "--allow-pickle")[0] == summary(evaluate(*files))
 
 
+@pytest.mark.parametrize("listed, first", [(5, 0), (5, 1), (0, 1)])
+def test_of_predictions_of_a_list_of_five_frames_those_are_scored_that_have_ground_truth(files, values_of, listed, first):
+    predictions, maps = files
+    save_ground_truth("G.npz", maps, [f"{first + i:06d}" for i in range(3)], listed)
+    assert values_of(depth)[0] == summary(evaluate(*files))
+    np.save("P.npy", np.insert(predictions, [0] * first + [3] * (2 - first), 1, axis=0))
+    assert values_of(depth)[0] == summary(evaluate(*files))
+
+
+@pytest.mark.parametrize("kind", ["first", "last", "several sizes"])
+def test_predictions_are_taken_in_the_shapes_of_the_fields_scripts(files, values_of, kind):
+    predictions, maps = files
+    several = np.array([predictions[0][None], predictions[1][..., None], np.ones((7, 9))], object)
+    np.save("P.npy", {"first": predictions[:, None], "last": predictions[..., None], "several sizes": several}[kind])
+    expected = summary(evaluate([*predictions[:2], predictions[2] if kind != "several sizes" else several[2]], maps))
+    assert values_of(depth, *["--allow-pickle"] * (kind == "several sizes"))[0] == expected
+
+
+FULL = "error: what is printed cannot be written (No"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("words, code, said", [("gt.txt | true", 141, ""), ("gt.txt > /dev/full", 1, FULL), ("ü", 2, "error: \\xfc:")])
+def test_what_cannot_be_printed_is_no_traceback(words, code, said):
+    command = f"{sys.executable} -c 'import sys, dualdepth.cli as cli; input(); cli.main(sys.argv[1:])'"
+    script = f"(sleep 1; echo) | {command} evaluate odometry --gt gt.txt --pred {words}; exit ${{PIPESTATUS[1]}}"
+    environment = os.environ | {"LC_ALL": "C", "PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(["bash", "-c", script], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == code and done.stderr.startswith(said) and done.stderr.count("\n") == bool(said), done.stderr
+
+
 GOOD = np.ones((3, 10, 16), np.float32)
 BAD = {
     "objects": (np.array([{}, {}, {}], object), ""),
     "archive": (GOOD, "archive"),
-    "four_dimensions": (GOOD[:, None], "(3, 1, 10, 16)"),
+    "two_channels": (GOOD[:, None].repeat(2, 1), "(3, 2, 10, 16)"),
     "integers": (GOOD.astype(np.uint16), "uint16"),
     "no_pixels": (GOOD[:, :0], "(3, 0, 16)"),
     "short": (GOOD[:2], "holds 2 predictions but there are 3"),

@@ -1,5 +1,7 @@
 """Running a notebook: checked parameters, an executed copy that is whole or absent."""
 
+import sys
+
 import nbformat
 import pytest
 
@@ -25,14 +27,17 @@ def project(checkout, monkeypatch):
 
 
 @pytest.mark.slow
-def test_an_executed_copy_shows_what_its_parameters_gave(project, capsys):
+def test_an_executed_copy_shows_what_its_parameters_gave_in_this_python_whatever_kernel_jupyter_knows(project, capsys, monkeypatch):
+    (project / "kernels/python3").mkdir(parents=True)
+    (project / "kernels/python3/kernel.json").write_text('{"argv": ["/nowhere"], "display_name": "Python 3", "language": "python"}')
+    monkeypatch.setenv("JUPYTER_PATH", str(project))
     bar = 'import sys\n_ = sys.stderr.write("0%\\r50%\\r100%\\n")'
-    write_notebook(project / "notebooks/00_sum.ipynb", "import os\nprint(profile, seed + 1, os.getcwd())", bar)
+    write_notebook(project / "notebooks/00_sum.ipynb", "import os, sys\nprint(profile, seed + 1, os.getcwd(), sys.executable)", bar)
     source = (project / "notebooks/00_sum.ipynb").read_bytes()
     out = run_notebook("00_sum", "results/00_sum.ipynb", {"profile": "own", "seed": 41})
     executed = nbformat.read(out, as_version=4)
     texts = [o.text for cell in executed.cells for o in cell.outputs]
-    assert texts == [f"own 42 {project}\n", "100%\n"]  # run at the root; of a progress bar only its end is kept
+    assert texts == [f"own 42 {project} {sys.executable}\n", "100%\n"]  # run at the root; of a progress bar only its end is kept
     assert all(cell.execution_count for cell in executed.cells)
     assert (project / "notebooks/00_sum.ipynb").read_bytes() == source
     assert [p.name for p in (project / "results").iterdir()] == ["00_sum.ipynb"]

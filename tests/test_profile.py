@@ -123,8 +123,9 @@ def mine(network):
 
 BAD_SETTINGS = [
     ("sedes: [1]\n", "unknown setting sedes; did you mean seeds"),
-    ("training: {lr: {epoch: 3}}\n", "unknown setting training.lr.epoch; did you mean epochs"),
-    ("  train_drive: x\n", "unknown setting data.train_drive; did you mean train_drives"),
+    ("training: {lr: {epoch: 3}}\n", "unknown setting training.lr.epoch; did you mean training.lr.epochs"),
+    ("training: {batch_size: 1}\n", "unknown setting training.batch_size; did you mean training.lr.batch_size"),
+    ("  train_drive: x\n", "unknown setting data.train_drive; did you mean data.train_drives"),
     ("1: 2\n", "1"),
     ("training: {precision: float16}\n", "training.precision"),
     ("training: {lr: {learning_rates: []}}\n", "training.lr.learning_rates"),
@@ -135,8 +136,8 @@ BAD_SETTINGS = [
 BAD_VARIANTS = [
     ("train: {duall: }\n", "variant 'duall' is unknown; did you mean dual"),
     ("train: {dual: }\n", "dual starts from lr, which is not trained; name it too"),
-    ("train: {lr: {training.lr.epoch: 3}}\n", r"variant lr: unknown setting training.lr.epoch; did you mean epochs\?"),
-    ("train: {lr: {training.lrr.epochs: 3}}\n", "variant lr: unknown setting training.lrr"),
+    ("train: {lr: {training.lr.epoch: 3}}\n", r"variant lr: unknown setting training.lr.epoch; did you mean training.lr.epochs\?"),
+    ("train: {lr: {training.lrr.epochs: 3}}\n", r"variant lr: unknown setting training.lrr.epochs; did you mean training.lr.epochs\?"),
     ("train: {lr: {training.lr.epochs: none}}\n", "variant lr: training.lr.epochs"),
     ("train: {}\n", "train"),
     ("train: {resnet18: }\n", "train: does not name lr"),
@@ -144,7 +145,7 @@ BAD_VARIANTS = [
     (mine("dual"), "network dual needs a variant in `starts_from`"),
     (mine("single, starts_from: lr"), "network single has no variant in `starts_from`"),
     ("variants: {mine: {label: a, about: x}}\n", "variants.mine.network"),
-    (mine("lr, simlarity: dot"), "unknown setting variants.mine.simlarity; did you mean similarity"),
+    (mine("lr, simlarity: dot"), "unknown setting variants.mine.simlarity; did you mean variants.mine.similarity"),
     ("train: {lr: , dual: , mine: }\n" + mine("dual, starts_from: dual"), "mine starts from dual, which is no variant of stage 1"),
     ("train: {mine: {training.augmentation.augment_first: false}}\n" + mine("single"), "augment_first must be true at high resolution"),
 ]

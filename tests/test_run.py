@@ -2,12 +2,19 @@
 
 import hashlib
 import json
+import shutil
+import subprocess
+import tomllib
+from pathlib import Path
 
 import pandas as pd
 import pytest
+from packaging.requirements import Requirement
 
 from dualdepth.errors import InputError
 from dualdepth.run import Run, project_root
+
+REPOSITORY = project_root()
 
 
 @pytest.fixture
@@ -37,6 +44,36 @@ def test_a_table_is_written_with_a_stamp_that_says_what_made_it(project):
     assert (stamp["profile"], stamp["seeds"], stamp["revision"]) == ("tiny", [0, 1], "unknown")  # outside of git
     assert stamp["inputs_sha256"] == {"input.csv": hashlib.sha256(b"a\n1\n").hexdigest()}
     assert stamp["lock_sha256"] == hashlib.sha256(b"torch==2.13.0\n").hexdigest()
+
+
+@pytest.mark.slow
+def test_the_revision_is_this_checkouts_own_and_not_that_of_a_repository_around_it(project, monkeypatch):
+    def revision_after_commit(folder):
+        for words in (["init", "-q"], ["-c", "user.name=a", "-c", "user.email=a@b", "commit", "-q", "--allow-empty", "-m", "x"]):
+            subprocess.run(["git", "-C", folder, *words], check=True)
+        return Run("tiny")._revision
+
+    assert revision_after_commit(project.parent) == {"revision": "unknown", "dirty": False}
+    own = revision_after_commit(project)
+    assert len(own["revision"]) == 40 and own["dirty"]
+    monkeypatch.setenv("PATH", "")
+    assert Run("tiny")._revision["revision"] == "unknown"
+
+
+def test_the_lock_pins_what_lies_in_the_ranges_that_are_asked_for():
+    asked = map(Requirement, tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]["dependencies"])
+    pinned = dict(line.lower().replace("_", "-").split("==") for line in (REPOSITORY / "environment.lock").read_text().splitlines())
+    assert [r.name for r in asked if not r.specifier.contains(pinned[r.name.replace("_", "-")])] == []
+
+
+def test_a_checkout_that_was_moved_after_its_environment_was_made_is_one_line(project):
+    shutil.copyfile(REPOSITORY / "Makefile", "Makefile")
+    Path(".venv/bin").mkdir(parents=True)
+    for name in ("pyproject.toml", ".venv/.installed", ".venv/bin/pip"):
+        Path(name).write_text("#!/renamed/.venv/bin/python\n")
+    Path(".venv/bin/pip").chmod(0o755)
+    done = subprocess.run(["make", "status"], capture_output=True, text=True, check=False)
+    assert done.stderr.splitlines()[0] == "error: .venv was made where this folder was before; 'rm -r .venv && make env' makes it anew"
 
 
 def own_run(project, text):

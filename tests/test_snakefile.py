@@ -1,7 +1,10 @@
 """The order of the chain and what makes a step stale, with a stand-in for the command that runs a notebook."""
 
+import os
 import re
+import shlex
 import shutil
+import subprocess
 import sys
 
 import pytest
@@ -159,3 +162,22 @@ def test_a_run_ends_with_where_its_results_are_or_with_one_line_of_error(chain):
     (chain.root / ".snakemake").touch()
     done = chain.reproduce()
     assert done.returncode == 2 and ".snakemake: nothing can be written there" in done.stderr
+
+
+def test_folders_of_any_name_reach_the_notebooks_and_a_home_that_cannot_be_written_is_not_needed(fresh, tmp_path):
+    odd = tmp_path / """a #1: 'q' "d" ü $HOME $(x) %d \\n {x} 😀"""
+    (odd / "2011_09_26").mkdir(parents=True)
+    (odd / "2011_09_26/calib_cam_to_cam.txt").touch()
+    fresh.environment |= {"HOME": "/proc/none", "PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}"}
+    shutil.copyfile(project_root() / "Makefile", tmp_path / "Makefile")
+    words = ["make", "reproduce", "STAMP=", "VENV=x", f"PROFILE={fresh.profile}", f"KITTI_ROOT={odd}".replace("$", "$$")]
+    assert shlex.split(subprocess.check_output([*words, "-n"], cwd=tmp_path, text=True).splitlines()[-1])[5] == str(odd).replace("$", "$$")
+    assert fresh.reproduce("--kitti-root", str(odd)).returncode == 0
+    assert f" kitti_root={odd} test_list= " in (tmp_path / "work/own/sources.json").read_text()
+
+
+@pytest.mark.parametrize("dry", [[], ["--dry-run"]])
+def test_what_is_wrong_with_the_chain_itself_is_one_line(fresh, dry):
+    assert fresh.reproduce("--", "--until", "x", *dry).stderr.startswith("error: Snakefile: MissingRuleException: No rule to produce x ")
+    (fresh.root / "Snakefile").open("a").write("\nraise ValueError('a\\nmistake')\n")
+    assert fresh.reproduce("--", *dry).stderr == "error: Snakefile: ValueError: a mistake\n"

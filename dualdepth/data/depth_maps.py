@@ -18,7 +18,7 @@ LARGEST = 4 * 10**9
 """Bytes that an array may unpack to: a map of the Eigen split takes 1.9 million, all 697 in one array 1.3 thousand million."""
 
 
-def save_ground_truth(path: str | Path, maps: Iterable[np.ndarray], names: Iterable[str] | None = None) -> int:
+def save_ground_truth(path: str | Path, maps: Iterable[np.ndarray], names: Iterable[str] | None = None, listed: int = 0) -> int:
     """Write depth maps to a compressed npz, atomically, one array per image in the given order and without pickle.
 
     The same maps give the same bytes.
@@ -27,6 +27,7 @@ def save_ground_truth(path: str | Path, maps: Iterable[np.ndarray], names: Itera
         path: the npz file.
         maps: (H, W) depth in metres each, 0 where there is no measurement; sizes may differ. May be a generator.
         names: a key for each map; else its number as `%06d`.
+        listed: frames of the list in which the keys are places, 0 where there is none.
 
     Returns:
         Number of maps written.
@@ -40,6 +41,7 @@ def save_ground_truth(path: str | Path, maps: Iterable[np.ndarray], names: Itera
             for key, depth in zip(keys, maps, strict=bool(names)):
                 with archive.open(f"{key}.npy", "w", force_zip64=True) as file:  # of 1980, whatever the time
                     np.lib.format.write_array(file, np.ascontiguousarray(depth, np.float32), allow_pickle=False)
+            archive.comment = str(listed or "").encode()
             return len(archive.namelist())
     except OSError as error:
         raise InputError(f"{path}: cannot write the ground truth ({error.strerror})") from None
@@ -48,11 +50,12 @@ def save_ground_truth(path: str | Path, maps: Iterable[np.ndarray], names: Itera
 class DepthMaps(Sequence):
     """Depth maps of a ground-truth file in their order, each read when it is asked for.
 
-    `maps[i]` is (H, W) float in metres; `maps.names` holds the keys.
+    `maps[i]` is (H, W) float in metres; `maps.names` holds the keys, `maps.listed` the frames of their list, 0 where that is not known.
     """
 
     def __init__(self, path: Path, archive: "np.lib.npyio.NpzFile") -> None:
         self.path, self.names, self._archive = path, list(archive.files), archive
+        self.listed = int(archive.zip.comment[:9]) if archive.zip.comment.isdigit() else 0
         self._stacked = None
         if self.names == [FIELD_KEY]:
             values = self._member(FIELD_KEY)

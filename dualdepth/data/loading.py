@@ -3,8 +3,10 @@
 Order and augmentation are functions of (seed, epoch, index), so a resume needs only the step.
 """
 
+import shutil
 import signal
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
@@ -147,7 +149,13 @@ class StatelessBatches(Sampler[list[tuple[int, int]]]):
 
 
 def make_loader(dataset: TripletDataset, batches: StatelessBatches, workers: int) -> DataLoader:
-    """Loader of batches with `workers` processes; each decodes on one thread, so the training keeps its cores, and ends only with it."""
+    """Loader with `workers` processes, or what shared memory has room for (of a container 64 MB); each decodes on one thread, so the
+    training keeps its cores, and ends only with it."""
+    size = 9 * dataset.hr_size[0] * dataset.hr_size[1] * batches.batch_size // batches.accumulate  # bytes of a batch, of all processes
+    shared = Path("/dev/shm")  # where, of each worker, four batches wait and one is in use
+    if workers and shared.is_dir() and (fit := shutil.disk_usage(shared).free // (5 * size)) < workers:
+        print(f"note: {shared} has room for {fit} of {workers} loader workers; `docker run --shm-size 2g` gives more", flush=True)
+        workers = fit
     return DataLoader(
         dataset,
         batch_sampler=batches,

@@ -115,8 +115,8 @@ def odometry_triplets(root: str | Path, sequences: Sequence[str], broken: Collec
     return found
 
 
-FORMAT = "a KITTI pose file holds the 12 numbers of the 3x4 matrix [R|t] in a line, or 13 with the frame's number first"
-TOLERANCE = 1e-3  # How far R Rᵀ may be from the identity: six decimals and products of many float32 rotations pass.
+FORMAT = "a KITTI pose file holds the 12 numbers of the 3x4 matrix [R|t] (or the 16 of 4x4) in a line, perhaps after the frame's number"
+TOLERANCE = 2e-2  # How far R Rᵀ may be from the identity: two decimals and products of many float32 rotations pass.
 LIMIT = 1e9  # Numbers from here on cannot be positions, whatever the unit, and would overflow later.
 
 
@@ -129,7 +129,7 @@ class Trajectory(NamedTuple):
 
 
 def read_trajectory(path: str | Path) -> Trajectory:
-    """Read a KITTI pose file: 12 numbers a line, or 13 with a leading frame number.
+    """Read a KITTI pose file: 12 numbers a line or the 16 of 4x4 matrices, and one more with a leading frame number.
 
     Raises:
         InputError: naming the file and the line: missing, empty, another number of numbers, text, NaN, no rotation matrix, or frame
@@ -148,13 +148,15 @@ def read_trajectory(path: str | Path) -> Trajectory:
             raise InputError(f"{path}, line {numbers[bad.argmax()]}: {what}")
 
     refuse(~(np.abs(values) < LIMIT).all(1), f"NaN, infinite or beyond {LIMIT:g}; give finite numbers, positions in metres")
-    indexed = values.shape[1] == 13
+    indexed = values.shape[1] % 2 == 1
     if indexed:
         frames = values[:, 0]
-        refuse((frames != np.round(frames)) | (frames < 0), "the frame number, the first of 13, is no integer from 0 up")
+        refuse((frames != np.round(frames)) | (frames < 0), "the frame number, the first of the line, is no integer from 0 up")
         refuse(np.diff(frames, prepend=-1) <= 0, "the frame number is not above the one before; sort the lines, one a frame")
     poses = np.tile(np.eye(4), (len(values), 1, 1))
-    poses[:, :3] = values[:, -12:].reshape(-1, 3, 4)
+    rows = values[:, int(indexed) :].reshape(len(values), -1, 4)
+    refuse(np.abs(rows[:, 3:] - poses[:, 3, None]).max((1, 2), initial=0) > 0, f"the last 4 of 16 numbers are not 0 0 0 1; {FORMAT}")
+    poses[:, :3] = rows[:, :3]
     rotations = poses[:, :3, :3]
     orthonormal = np.abs(rotations @ rotations.mT - np.eye(3)).max((1, 2)) < TOLERANCE
     refuse(~orthonormal | (np.linalg.det(rotations) < 0), f"the left 3x4 columns are no rotation matrix; {FORMAT}")
@@ -164,7 +166,7 @@ def read_trajectory(path: str | Path) -> Trajectory:
 def _row(words: list[str], width: int, where: str) -> list[float]:
     with reading(where, f"{FORMAT}, with spaces between"):
         values = [float(word) for word in words]
-    if len(values) not in (12, 13) or len(values) != width:
+    if len(values) not in (12, 13, 16, 17) or len(values) != width:
         tum = ", which look like TUM's position and quaternion" * (len(values) in (7, 8))
         raise InputError(f"{where}: {len(values)} numbers{tum}, {width} in the first line; {FORMAT}, in all lines alike")
     return values

@@ -113,8 +113,10 @@ def valid_pixels(prediction: np.ndarray, ground_truth: np.ndarray, protocol: Pro
     if prediction.ndim != 2 or ground_truth.ndim != 2 or 0 in prediction.shape:
         raise InputError(f"shapes {prediction.shape} and {ground_truth.shape}; expected (height, width) for both")
     lowest, highest = prediction.min(), prediction.max()
-    if not 1.2e-38 <= lowest <= highest < math.inf:  # below the smallest normal number the inverse overflows
-        raise InputError(f"the {protocol.kind} goes from {lowest:g} to {highest:g}; predictions must be finite and above 0")
+    # below the smallest normal number the inverse overflows; resized as disparity, 0 is as far as depth is clamped to, as in monodepth2
+    if not (0 if protocol.kind == protocol.resize == "disparity" else 1.2e-38) <= lowest <= highest < math.inf:
+        mend = "finite and above 0" + ", or 0 with --resize disparity" * (protocol.kind == "disparity")
+        raise InputError(f"the {protocol.kind} goes from {lowest:g} to {highest:g}; predictions must be {mend}")
 
     # compared in the ground truth's own precision: a float32 0.001 is not above 0.001
     above, below = (protocol.min_depth, protocol.max_depth) if protocol.valid == "range" else (0.0, math.inf)
@@ -129,7 +131,7 @@ def valid_pixels(prediction: np.ndarray, ground_truth: np.ndarray, protocol: Pro
         prediction = 1 / prediction
     prediction = resize_bilinear(prediction, ground_truth.shape).ravel()[index].astype(np.float64)
     if protocol.resize == "disparity":
-        prediction = 1 / prediction
+        prediction = 1 / np.maximum(prediction, 1.2e-38)
     measured = ground_truth.ravel()[index].astype(np.float64)
 
     scaled, ratio = scale_and_clamp(measured, prediction, protocol)
@@ -207,23 +209,25 @@ def evaluate_parts(
     return frame
 
 
-def load_predictions(path: str | Path) -> np.ndarray:
-    """Open a file of predictions, as the field saves them, without reading it into memory and without pickle.
+def load_predictions(path: str | Path, *, allow_pickle: bool = False) -> list[np.ndarray]:
+    """Open a file of predictions, as the field saves them, without reading it into memory and, unless allowed, without pickle.
 
     Returns:
-        (N, h, w) float array, mapped from the file.
+        N float arrays (h, w), mapped from the file unless pickled; an axis of one channel, first or last, is taken off.
 
     Raises:
-        InputError: missing, truncated, no `.npy`, or not a float array of three dimensions with at least one image.
+        InputError: missing, truncated, no `.npy`, or not float maps of at least one image.
     """
-    mend = "give a .npy file with one (N, h, w) float array, as numpy.save writes it"
+    mend = "give a .npy file with one (N, h, w) float array, as numpy.save writes it, or with --allow-pickle one of maps of several sizes"
     with reading(path, mend):
-        values = np.load(path, mmap_mode="r", allow_pickle=False)
-        if not isinstance(values, np.ndarray):
-            raise ValueError("an archive of arrays")
-    if values.dtype.kind != "f" or values.ndim != 3 or 0 in values.shape:
+        values = np.load(path, mmap_mode=None if allow_pickle else "r", allow_pickle=allow_pickle)
+        if not isinstance(values, np.ndarray) or not values.ndim:
+            raise ValueError("an archive of arrays, or a single number")
+        maps = [np.array(m.tolist()) if m.dtype == object else m for m in map(np.asarray, values)]
+    maps = [m[0] if m.ndim == 3 and len(m) == 1 else m[..., 0] if m.ndim == 3 and m.shape[2] == 1 else m for m in maps]
+    if not maps or any(m.dtype.kind != "f" or m.ndim != 2 or not m.size for m in maps):
         raise InputError(f"{path}: holds {values.dtype} values of shape {values.shape}; {mend}")
-    return values
+    return maps
 
 
 def summary(frame: pd.DataFrame) -> dict[str, float | int]:

@@ -53,7 +53,7 @@ def load_card(path: str | Path) -> dict[str, Any]:
         InputError: there is none, or it is not JSON.
     """
     places = [file for place in (Path(path), Path(path).resolve()) for file in (place.with_suffix(".json"), place.with_name(HUB_CARD))]
-    card = next((file for file in places if file.exists()), places[0])
+    card = next((file for file in places if file.exists()), places[0] if Path(path).exists() else Path(path))
     with reading(card, "keep the weights' card beside them"):
         values = json.loads(card.read_text(encoding="utf-8"))
         if not isinstance(values, dict):

@@ -1,6 +1,7 @@
 """What reaches the networks is a function of (seed, epoch, index), whoever loads it, and the camera matrix is that of the picture."""
 
 from collections import Counter
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -88,6 +89,14 @@ def test_worker_processes_change_nothing(dataset):
     assert [b["name"] for b in alone] == [b["name"] for b in helped]
     assert all(torch.equal(a["images"], b["images"]) for a, b in zip(alone, helped, strict=True))
     assert all(torch.equal(a["images"], b["images"]) for a, b in zip(alone[2:], resumed, strict=True))
+
+
+@pytest.mark.parametrize("workers", [0, 1, 2])
+def test_there_are_no_more_workers_than_shared_memory_has_room_for(dataset, monkeypatch, capsys, workers):
+    room = int((workers + 0.5) * 5 * 2 * 9 * HR[0] * HR[1])  # batches of two triplets
+    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=room))
+    assert make_loader(dataset, StatelessBatches(4, 4, 3, 0, 5, accumulate=2), 2).num_workers == workers
+    assert (f"/dev/shm has room for {workers} of 2 loader workers" in capsys.readouterr().out) == (workers < 2)
 
 
 def test_frames_of_different_sizes_are_named(kitti_root, tmp_path):

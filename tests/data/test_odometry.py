@@ -135,15 +135,22 @@ def test_what_is_written_is_read_without_loss_and_what_cannot_be_is_named(tmp_pa
         write_trajectory(path / "b.txt", poses)
 
 
-@pytest.mark.parametrize("text", ["{:.6f}", "{:.6e}", "{:.5f}", None])
-def test_rotations_of_six_decimals_and_long_products_of_float32_ones_pass(tmp_path, text):
+@pytest.mark.parametrize("text", ["{:.6f}", "{:.6e}", "{:.3f}", None])
+def test_rotations_of_three_decimals_and_long_products_of_float32_ones_pass(tmp_path, text):
     poses = random_poses(500 if text else 4500)
     for k in range(1, 0 if text else len(poses)):
         step = Rotation.from_euler("yxz", [0.01, 0.003, -0.002]).as_matrix().astype(np.float32)
         poses[k, :3, :3] = poses[k - 1, :3, :3].astype(np.float32) @ step
     rows = [" ".join((text or "{}").format(v) for v in pose[:3].ravel()) for pose in poses]
     (tmp_path / "a.txt").write_text("\n".join(rows))
-    np.testing.assert_allclose(read_trajectory(tmp_path / "a.txt").poses, poses, atol=1e-4)
+    np.testing.assert_allclose(read_trajectory(tmp_path / "a.txt").poses, poses, atol=6e-4)
+
+
+@pytest.mark.parametrize("frame", ["", "7 "])
+def test_rows_of_4x4_matrices_are_read_like_those_of_3x4(tmp_path, frame):
+    (tmp_path / "a.txt").write_text(f"{frame}0 -1 0 5 1 0 0 6 0 0 1 7 0 0 0 1")
+    read = read_trajectory(tmp_path / "a.txt")
+    assert read.frames.tolist() == [7 if frame else 0] and read.poses[0, :3].ravel().tolist() == [0, -1, 0, 5, 1, 0, 0, 6, 0, 0, 1, 7]
 
 
 BAD = {
@@ -153,6 +160,7 @@ BAD = {
     "commas": (IDENTITY.replace(" ", ","), "line 1: cannot be read"),
     "mixed, index later": (f"{IDENTITY}\n1 {IDENTITY}\n", "line 2: 13 numbers, 12 in the first line"),
     "mixed, index first": (f"0 {IDENTITY}\n{IDENTITY}\n", "line 2: 12 numbers, 13 in the first line"),
+    "no 4x4 matrix": (f"{IDENTITY} 0 0 0 2\n", "line 1: the last 4 of 16 numbers are not 0 0 0 1"),
     "mirrored": ("-1 0 0 0 0 1 0 0 0 0 1 0\n", "line 1: the left 3x4 columns are no rotation"),
     "half a frame": (f"0 {IDENTITY}\n1.5 {IDENTITY}\n", "line 2: the frame number"),
     "negative frame": (f"-1 {IDENTITY}\n", "line 1: the frame number"),

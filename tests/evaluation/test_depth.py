@@ -97,6 +97,15 @@ def test_an_image_without_ground_truth_is_skipped_and_counted():
         evaluate(np.ones((1, 5, 5)), [np.zeros((20, 20))])
 
 
+def test_disparity_0_is_the_largest_depth_as_in_monodepth2_where_disparity_is_resized():
+    disparity, truth = np.full((1, 9, 9), 0.2), np.full((9, 9), 5.0)
+    disparity[0, 0, 0], truth[0, 0] = 0, 70
+    scores = summary(evaluate(disparity, [truth], kind="disparity", resize="disparity", crop="none"))
+    assert scores["rmse"] == pytest.approx(10 / 9) and scores["scale_ratio_median"] == pytest.approx(1)
+    with pytest.raises(InputError, match="or 0 with --resize disparity"):
+        evaluate(disparity, [truth], kind="disparity")
+
+
 @pytest.mark.parametrize("bad, says", [(np.nan, "to nan"), (np.inf, "to inf"), (0.0, "from 0 to"), (-2.0, "from -2 to")])
 def test_a_prediction_that_cannot_be_scored_is_named(bad, says):
     predictions = np.ones((3, 5, 5), np.float32)

@@ -59,6 +59,14 @@ def test_the_commands_refuse_a_leak_unless_allowed(scored, capsys, refused, comm
     assert "leak" not in json.loads(capsys.readouterr().out)
 
 
+@pytest.mark.parametrize("without", [1, 2])
+def test_of_a_list_those_frames_are_guarded_that_have_ground_truth(scored, refused, without):
+    weights(["2011_09_26/2011_09_26_drive_0001_sync"])
+    Path("list.txt").write_text("".join(f"2011_09_26/2011_09_26_drive_{drive:04d}_sync 0000000000 l\n" for drive in (2, 1, 3)))
+    save_ground_truth("G.npz", [np.full((40, 60), 5.0, np.float32)] * 2, [f"{i:06d}" for i in range(3) if i != without], 3)
+    assert main(DEPTH) == 0 if without == 1 else "was trained on" in refused(main, DEPTH)
+
+
 @pytest.mark.parametrize(
     ("command", "said"),
     [

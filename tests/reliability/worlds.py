@@ -44,6 +44,7 @@ def depth(folder: Path) -> Call:
     save_ground_truth("G.npz", [rng.uniform(1, 80, (40, 60)).astype(np.float32)] * 2)
     write_text("list.txt", f"{DRIVE} 0000000000 l\n{DRIVE} 0000000001 l\n")
     write_text("w.json", json.dumps({"drives": ["another"]}))
+    Path("w.safetensors").touch()
     arguments = ["--pred", "P.npy", "--gt", "G.npz", "--weights", "w.safetensors", "--list", "list.txt", "--json", "out.json"]
     return lambda: main(["evaluate", "depth", *arguments])
 

@@ -59,6 +59,11 @@ def test_weights_that_are_changed_no_safetensors_file_or_of_another_network_are_
         load_weights(path, Net())
 
 
+def test_missing_weights_are_not_said_to_lack_a_card(tmp_path):
+    with pytest.raises(InputError, match=r"model\.safetensors: no such file"):
+        load_card(tmp_path / "model.safetensors")
+
+
 @pytest.mark.parametrize("card", [None, "{", "[]", "null", "3", '{"drives": "all"}', '{"drives": [1]}'])
 def test_weights_without_a_readable_card_are_refused(path, card):
     file = path.with_suffix(".json")
