@@ -15,13 +15,6 @@ class InputError(Exception):
     """Bad input: the message is one line that names the file, the value and the mend.
 
     The command line prints it and ends with exit code 2.
-
-    >>> import dualdepth
-    >>> try:
-    ...     dualdepth.load("nowhere.safetensors")
-    ... except dualdepth.InputError as error:
-    ...     print(error)
-    nowhere.safetensors: no such weights; give model.safetensors of a training, its folder, or a name on the model hub
     """
 
 

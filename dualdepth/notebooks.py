@@ -82,7 +82,8 @@ def run_notebook(name: str, out: str | Path, parameters: dict[str, Any]) -> Path
     """
     import papermill
     from ipykernel.kernelspec import get_kernel_dict
-    from jupyter_client import AsyncKernelManager, kernelspec
+    from jupyter_client import AsyncKernelManager
+    from jupyter_client.kernelspec import KernelSpec
     from nbclient.exceptions import DeadKernelError
     from papermill.exceptions import PapermillExecutionError
 
@@ -98,9 +99,7 @@ def run_notebook(name: str, out: str | Path, parameters: dict[str, Any]) -> Path
     began = time.perf_counter()
     # what cells print is shown as it comes, progress bars included; the copy keeps the last state of a bar alone
     settings = {"progress_bar": False, "stdout_file": sys.stderr, "stderr_file": sys.stderr, "coalesce_streams": True}
-    settings["kernel_manager_class"] = type(
-        "ThisPython", (AsyncKernelManager,), {"kernel_spec": kernelspec.KernelSpec(**get_kernel_dict())}
-    )
+    settings["kernel_manager_class"] = type("ThisPython", (AsyncKernelManager,), {"kernel_spec": KernelSpec(**get_kernel_dict())})
     settings["extra_arguments"] = ["--IPKernelApp.log_level=50"]  # the kernel's own log says nothing about the notebook
     with atomic_path(out) as partial:
         try:

@@ -67,17 +67,3 @@ def test_rows_of_the_main_table_have_their_supervision():
     for row in paper.table("main").itertuples():
         cells = rf"& {re.escape(row.dataset)} +& +{re.escape(row.supervision)} +& (?:\\textbf{{)?{row.abs_rel:.3f}"
         assert re.search(cells, text), row
-
-
-def test_the_oddities_that_a_table_shows_are_there():
-    backbone = paper.table("backbone").set_index("backbone")[["a1", "a2", "a3", "abs_rel"]]
-    assert (backbone.loc["ResNet18"] == backbone.loc["w/o pt"]).tolist() == [True, True, True, False]
-    main = paper.table("main")
-    assert main.loc[main["a2"] == main["a3"], "method"].tolist() == ["Eigen et al."]
-    ablation, distance = paper.table("ablation")["abs_rel"], paper.table("distance")["abs_rel"]
-
-    def far_share(overall, near, far):
-        return round((overall - near) / (far - near), 2)
-
-    assert far_share(ablation[0], distance[0], distance[1]) == 0.26
-    assert [far_share(ablation[k], distance[2], distance[3]) for k in (1, 2)] == [0.25, 0.22]

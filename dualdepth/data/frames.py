@@ -97,9 +97,7 @@ class Video:
         if not there:
             codec = int(self._capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little", signed=True).decode("ascii", "replace").strip("\0")
             self.close()
-            raise InputError(
-                f"{path}: no video that can be decoded (codec: {codec or 'none'}); copy it again, or convert it: {self.convert}"
-            )
+            raise InputError(f"{path}: no video that can be decoded (codec {codec or 'none'}); copy it again or convert it: {self.convert}")
 
     def frames(self, wanted: Container[int] | None = None) -> Iterator[tuple[int, np.ndarray]]:
         """Number, from 0, and picture of all frames that can be read, or of those whose numbers are wanted; others are not decoded."""

@@ -172,7 +172,16 @@ class Trainer:
                     self._save(step)
                 if stopping:
                     raise SystemExit(f"stopped at step {step} of {self.total}; run the same command to go on")
-        return self._finish(card, log, time.perf_counter() - began)
+        accelerator.wait_for_everyone()
+        weights, seconds = self.folder / "model.safetensors", round(time.perf_counter() - began, 1)
+        if log:
+            facts = {"seed": self.seed, "recipe": self.recipe, "steps": self.total, "seconds_of_last_run": seconds}
+            facts |= {"resumed_at": self.start, "device": device_name(), "precision": self.precision, "batch_parts": self.parts}
+            log.close()
+            kept = self.average.module if self.average else accelerator.unwrap_model(self.model)
+            save_weights(weights, kept, card | facts | {"last_losses": log.last()})
+        accelerator.wait_for_everyone()
+        return weights
 
     def _step(self, step: int, batches: Iterator[dict[str, Any]], logged: bool) -> tuple[StageOutput, list[dict[str, torch.Tensor]]]:
         """One optimisation step over all parts of its batch: the last part's output, and, where it is logged, each part's statistics."""
@@ -224,19 +233,6 @@ class Trainer:
             before = checkpoint_paths(self.folder)
             kept = f"the last good one is {before[0].name}" if before else "there is none yet"
             tqdm.write(f"warning: checkpoint of step {step} was not written ({error}); {kept}, training goes on")
-
-    def _finish(self, card: dict[str, Any], log: TrainingLog | None, seconds: float) -> Path:
-        """Write the weights with their card."""
-        self.accelerator.wait_for_everyone()
-        weights = self.folder / "model.safetensors"
-        if log:
-            facts = {"seed": self.seed, "recipe": self.recipe, "steps": self.total, "seconds_of_last_run": round(seconds, 1)}
-            facts |= {"resumed_at": self.start, "device": device_name(), "precision": self.precision, "batch_parts": self.parts}
-            log.close()
-            kept = self.average.module if self.average else self.accelerator.unwrap_model(self.model)
-            save_weights(weights, kept, card | facts | {"last_losses": log.last()})
-        self.accelerator.wait_for_everyone()
-        return weights
 
 
 def running_mean(decay: float) -> Callable[[Sequence[torch.Tensor], Sequence[torch.Tensor], torch.Tensor], None]:

@@ -3,7 +3,6 @@
 import contextlib
 import json
 from pathlib import Path
-from typing import Any
 
 from dualdepth.data.odometry import drives_of
 from dualdepth.data.triplets import Triplet, load_triplets
@@ -47,7 +46,21 @@ def train_variant(run: Run, name: str, seed: int) -> Path:
             return _mark(weights)
         settings = getattr(profile.training, variant.stage)
         trainer = Trainer(lambda: make_stage(run.profile, name, start), settings, profile, triplets, folder, seed=seed, recipe=recipe)
-        return _mark(trainer.run(_card(run, name, len(triplets), drives, start)))
+        before = load_card(start) if start else None
+        card = {
+            "variant": name,
+            "about": f"{variant.about}, trained on {len(triplets)} triplets: {run.profile.about}",
+            **run.profile.architecture(name).model_dump(),
+            "hr_size": list(profile.data.hr_size),
+            # whether the encoder began with ImageNet's weights, here or in stage 1
+            "pretrained": variant.network != "hr" and (before["pretrained"] if before else bool(profile.training.pretrained)),
+            "drives": sorted(set(drives) | set(before["drives"] if before else ())),
+            "pose_encoder": profile.training.beyond_paper_pose_encoder,
+            "average": profile.training.beyond_paper_average,
+            "starts_from": {k: before[k] for k in ("variant", "seed", "steps", "sha256")} if before else None,
+            "stamp": run.stamp([run.index(name), *([start] if start else [])]),
+        }
+        return _mark(trainer.run(card))
 
 
 def training_data(run: Run, name: str) -> tuple[list[Triplet], list[str]]:
@@ -117,21 +130,3 @@ def _mark(weights: Path) -> Path:
         if not (marker.exists() and marker.read_text(encoding="utf-8") == digest):
             write_text(marker, digest)
     return weights
-
-
-def _card(run: Run, name: str, triplets: int, drives: list[str], start: Path | None) -> dict[str, Any]:
-    variant, profile = run.profile.variant(name), run.profile.of_variant(name)
-    before = load_card(start) if start else None
-    return {
-        "variant": name,
-        "about": f"{variant.about}, trained on {triplets} triplets: {run.profile.about}",
-        **run.profile.architecture(name).model_dump(),
-        "hr_size": list(profile.data.hr_size),
-        # whether the encoder began with ImageNet's weights, here or in stage 1
-        "pretrained": variant.network != "hr" and (before["pretrained"] if before else bool(profile.training.pretrained)),
-        "drives": sorted(set(drives) | set(before["drives"] if before else ())),
-        "pose_encoder": profile.training.beyond_paper_pose_encoder,
-        "average": profile.training.beyond_paper_average,
-        "starts_from": {k: before[k] for k in ("variant", "seed", "steps", "sha256")} if before else None,
-        "stamp": run.stamp([run.index(name), *([start] if start else [])]),
-    }
