@@ -170,8 +170,9 @@ def test_folders_of_any_name_reach_the_notebooks_and_a_home_that_cannot_be_writt
     (odd / "2011_09_26/calib_cam_to_cam.txt").touch()
     fresh.environment |= {"HOME": "/proc/none", "PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}"}
     shutil.copyfile(project_root() / "Makefile", tmp_path / "Makefile")
-    words = ["make", "reproduce", "STAMP=", "VENV=x", f"PROFILE={fresh.profile}", f"KITTI_ROOT={odd}".replace("$", "$$")]
-    assert shlex.split(subprocess.check_output([*words, "-n"], cwd=tmp_path, text=True).splitlines()[-1])[5] == str(odd).replace("$", "$$")
+    words = ["make", "--no-print-directory", "-n", "reproduce", "STAMP=", "VENV=x", f"PROFILE={fresh.profile}"]
+    words += [f"KITTI_ROOT={odd}".replace("$", "$$")]
+    assert shlex.split(subprocess.check_output(words, cwd=tmp_path, text=True).splitlines()[-1])[5] == str(odd).replace("$", "$$")
     assert fresh.reproduce("--kitti-root", str(odd)).returncode == 0
     assert f" kitti_root={odd} test_list= " in (tmp_path / "work/own/sources.json").read_text()
 

@@ -95,7 +95,7 @@ def test_random_draws_inside_a_network_are_the_same_after_a_stop(run, whole):
             noise = torch.rand(())  # as dropout draws
             return output._replace(losses=output.losses._replace(total=output.losses.total * noise))
 
-    dropped = run("whole", kind=Dropping)
+    dropped = run("dropping", kind=Dropping)
     with pytest.raises(SystemExit):
         run("cut", kind=at_forward(4, kill_softly, Dropping))
     assert equal(run("cut", kind=Dropping), dropped)
