@@ -49,8 +49,8 @@ def run_chain(profile: str, roots: Mapping[str, str], seeds: str, allow_leak: bo
             os.environ.setdefault(name, str(run.root / "work/home" / name.lower()))
     check_writable(run.root / ".snakemake")  # of which Snakemake, being quiet, would not say a word
     with nullcontext() if dry else locked(run.work / "lock", inherited=True):
-        for folder in () if dry else (run.results, run.prepared):  # a training looks after its own
-            remove_leftovers(folder)
+        for folder, below in () if dry else ((run.work, False), (run.results, True), (run.prepared, True)):  # trainings clear their own
+            remove_leftovers(folder, below=below)
         print(f"profile {run.profile.name}: {run.profile.about}; results in {run.results.relative_to(run.root)}", flush=True)
         os.chdir(run.root)
         os.execv(sys.executable, command)

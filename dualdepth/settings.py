@@ -64,6 +64,8 @@ class World(Settings):
     def _consistent(self) -> "World":
         if self.train_seed == self.test_seed:
             raise ValueError(f"train_seed and test_seed are both {self.train_seed}: the scored streets would be the training streets")
+        if self.static_frames > self.frames_per_drive:
+            raise ValueError(f"static_frames {self.static_frames} is more than frames_per_drive {self.frames_per_drive}")
         return self
 
 

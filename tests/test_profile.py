@@ -132,6 +132,8 @@ BAD_SETTINGS = [
     ("  hr_size: [380, 1248]\n", "hr_size"),
     ("  hr_size: [96, 288]\n", "hr_size"),
     ("  train_list: eigen_zhou\n", "train_list or train_drives"),
+    ("world: {static_frames: 50}\n", "static_frames 50 is more than frames_per_drive 40"),
+    ("world: {test_seed: 1}\n", "the scored streets would be the training streets"),
 ]
 BAD_VARIANTS = [
     ("train: {duall: }\n", "variant 'duall' is unknown; did you mean dual"),

@@ -116,7 +116,7 @@ def odometry_triplets(root: str | Path, sequences: Sequence[str], broken: Collec
 
 
 FORMAT = "a KITTI pose file holds the 12 numbers of the 3x4 matrix [R|t] (or the 16 of 4x4) in a line, perhaps after the frame's number"
-TOLERANCE = 2e-2  # How far R Rᵀ may be from the identity: two decimals and products of many float32 rotations pass.
+TOLERANCE = 3e-3  # How far R Rᵀ may be from the identity: three decimals and products of many float32 rotations pass.
 LIMIT = 1e9  # Numbers from here on cannot be positions, whatever the unit, and would overflow later.
 
 

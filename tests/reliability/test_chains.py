@@ -57,7 +57,7 @@ def test_a_chain_killed_at_random_ends_with_the_same_files(chain, counted):
         tallies = try_kills(chain, kills=2, each=2)
         assert sum(tally.kills for tally in tallies) == 2
         assert not any(tally.wrong for tally in tallies) and len(chain.outcome()) > 20
-    assert not [*chain.root.glob("results/**/*.part*"), *chain.root.glob("work/*/prepared/*.part*")]
+    assert not [*chain.root.glob("results/**/*.part*"), *chain.root.glob("work/*/*.part*"), *chain.root.glob("work/*/prepared/*.part*")]
 
 
 def test_a_live_run_stops_a_second_one_and_says_whose_it_is_until_it_is_killed(chain, counted):
