@@ -3,7 +3,6 @@
 import argparse
 import json
 import math
-import re
 import sys
 from collections.abc import Callable
 from dataclasses import fields
@@ -16,11 +15,36 @@ from dualdepth.errors import InputError, exit_on_input_error
 from dualdepth.files import check_writable, write_json
 from dualdepth.run import ROOTS, Run, add_roots
 
+EXAMPLES = {
+    "dualdepth": ["dualdepth predict photo.jpg --out depth", "dualdepth reproduce --profile tiny"],
+    "dualdepth evaluate": [
+        "dualdepth evaluate depth --pred disparities.npy --gt gt.npz --kind disparity",
+        "dualdepth evaluate odometry --pred 09.txt --gt poses/09.txt",
+    ],
+    "dualdepth evaluate depth": [
+        "dualdepth evaluate depth --pred disparities.npy --gt gt.npz --kind disparity",
+        "dualdepth evaluate depth --pred depths.npy --gt gt.npz --no-median-scaling --json scores.json",
+    ],
+    "dualdepth evaluate odometry": ["dualdepth evaluate odometry --pred 09.txt --gt poses/09.txt --json scores.json"],
+    "dualdepth reproduce": [
+        "dualdepth reproduce --profile tiny",
+        "dualdepth reproduce --profile paper --kitti-root /data/kitti_raw --seeds 0,1,2",
+    ],
+    "dualdepth train": ["dualdepth train --profile tiny", "dualdepth train --profile paper --variant dual --seed 1"],
+    "dualdepth notebook": ["dualdepth notebook 03_train_lr --out 03.ipynb --set profile=tiny seed=1"],
+    "dualdepth predict": ["dualdepth predict photo.jpg --out depth", "dualdepth predict photo.jpg --save colour,ply --fov 60 --out depth"],
+    "dualdepth export": ["dualdepth export --to onnx --weights work/miniature/runs/dual/seed0/model.safetensors --out depth.onnx"],
+}
+"""What a `--help` ends with; `tests/test_docs.py` runs or parses each."""
 PROFILE = "tiny, miniature, claims, sample, paper, own, or a YAML file (default: %(default)s)"
 
 
 class OneLineParser(argparse.ArgumentParser):
-    """An argument parser whose error is one line, without the usage before it."""
+    """An argument parser whose error is one line, without the usage before it, and whose help ends with examples."""
+
+    def format_help(self) -> str:
+        """The help, and each example on a line."""
+        return "\n  ".join([f"{super().format_help()}\nexamples:", *EXAMPLES[self.prog]]) + "\n"
 
     def error(self, message: str) -> NoReturn:
         """Tell of the mistake and where help is."""
@@ -51,13 +75,23 @@ def build_parser() -> argparse.ArgumentParser:
     commands = program.add_subparsers(title="commands", metavar="COMMAND", required=True)
     evaluate = commands.add_parser("evaluate", help="score predictions by the field's protocols")
     kinds = evaluate.add_subparsers(title="what to evaluate", metavar="KIND", required=True)
+    _add_depth(kinds)
+    _add_odometry(kinds)
+    _add_runs(commands)
+    _add_predict(commands)
+    _add_export(commands)
+    return program
 
-    def command(place: Any, name: str, run: Callable[[argparse.Namespace], int | None], meaning: str) -> argparse.ArgumentParser:
-        parser = place.add_parser(name, help=meaning, description=run.__doc__)
-        parser.set_defaults(run=run)
-        return parser
 
-    parser = command(kinds, "depth", _evaluate_depth, "the seven depth metrics of a prediction file")
+def _command(place: Any, name: str, run: Callable[[argparse.Namespace], int | None], meaning: str) -> OneLineParser:
+    """Add a command that calls `run`, whose docstring its help begins with."""
+    parser = place.add_parser(name, help=meaning, description=run.__doc__)
+    parser.set_defaults(run=run)
+    return parser
+
+
+def _add_depth(place: Any) -> None:
+    parser = _command(place, "depth", _evaluate_depth, "the seven depth metrics of a prediction file")
     parser.add_argument("--pred", required=True, metavar="P.npy", help="(N, h, w) float array, any size, of the list's frames or of G's")
     parser.add_argument("--gt", required=True, metavar="G.npz", help="ground truth of data_scripts/export_depth.py: one array per image")
     _add_choice(parser, "--kind", ("depth", "disparity"), "what P holds")
@@ -70,31 +104,37 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--allow-pickle", action="store_true", help="read pickled maps, as gt_depths.npz; only from a source you trust")
     _add_json_and_guard(parser, "--list", "FILE", "list of the frames, as given to data_scripts/export_depth.py")
 
-    parser = command(kinds, "odometry", _evaluate_odometry, "errors of a camera trajectory against the true one")
+
+def _add_odometry(place: Any) -> None:
+    parser = _command(place, "odometry", _evaluate_odometry, "errors of a camera trajectory against the true one")
     parser.add_argument("--pred", required=True, metavar="POSES.txt", help="12 numbers a line ([R|t]), or 13 with the frame's number first")
     parser.add_argument("--gt", required=True, metavar="POSES.txt", help="the true poses of the whole sequence, in the same format")
     _add_choice(parser, "--snippet", (3, 5), "frames in a snippet")
     _add_choice(parser, "--align", ("7dof", "none", "scale", "6dof", "scale_7dof"), "how all but snippets are laid on the truth")
     _add_json_and_guard(parser, "--sequence", "09", "KITTI odometry sequence of the poses, which tells its raw drive")
 
-    parser = command(commands, "reproduce", _reproduce, "run all notebooks of a profile in order, and only what is not done yet")
+
+def _add_runs(place: Any) -> None:
+    parser = _command(place, "reproduce", _reproduce, "run all notebooks of a profile in order, and only what is not done yet")
     parser.add_argument("--profile", default="miniature", help=PROFILE)
     add_roots(parser)
     parser.add_argument("--seeds", default="", metavar="0,1,2", help="seeds to train instead of the profile's")
     parser.add_argument("--cores", default="all", help="cores Snakemake may use (default: %(default)s)")
     parser.add_argument("snakemake", nargs="*", metavar="-- OPTION", help="after --: options for Snakemake, such as --executor slurm")
 
-    parser = command(commands, "train", _train, "train one variant of a profile, or go on with it")
+    parser = _command(place, "train", _train, "train one variant of a profile, or go on with it")
     parser.add_argument("--profile", default="miniature", help=PROFILE)
     parser.add_argument("--variant", default="lr", help="which network (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="of initialisation, order and augmentation (default: %(default)s)")
 
-    parser = command(commands, "notebook", _notebook, "run one notebook by papermill")
+    parser = _command(place, "notebook", _notebook, "run one notebook by papermill")
     parser.add_argument("name", help="such as 03_train_lr")
     parser.add_argument("--out", required=True, metavar="FILE", help="where the executed copy goes")
     parser.add_argument("--set", nargs="*", default=[], metavar="KEY=VALUE", help="the notebook's parameters")
 
-    parser = command(commands, "predict", _predict, "depth of images, folders and videos with trained weights")
+
+def _add_predict(place: Any) -> None:
+    parser = _command(place, "predict", _predict, "depth of images, folders and videos with trained weights")
     parser.add_argument("inputs", nargs="+", metavar="INPUT", help="image, video, folder of them, or pattern in quotes ('in/**/*.jpg')")
     weights = "model.safetensors with its card beside it, its folder, or owner/name on the model hub (default: those of the package)"
     parser.add_argument("--weights", metavar="W", help=weights)
@@ -118,12 +158,13 @@ def build_parser() -> argparse.ArgumentParser:
     camera.add_argument("--fov", type=_number(float, below=180), metavar="DEG", help="across the image, for ply (default: KITTI's 81.4)")
     parser.add_argument("--overwrite", action="store_true", help="make results again that would be kept")
 
-    parser = command(commands, "export", _export, "write a trained depth network as an ONNX file")
+
+def _add_export(place: Any) -> None:
+    parser = _command(place, "export", _export, "write a trained depth network as an ONNX file")
     parser.add_argument("--to", required=True, choices=("onnx",), help="format of the file")
     parser.add_argument("--weights", required=True, metavar="W.safetensors", help="of a training; their card (.json) lies beside them")
     parser.add_argument("--out", required=True, metavar="DEPTH.onnx", help="file to write")
     parser.add_argument("--frames", nargs="+", default=[], metavar="IMAGE", help="compare on these images (default: three made-up ones)")
-    return program
 
 
 def _add_choice(parser: argparse.ArgumentParser, option: str, choices: tuple[str | int, ...], meaning: str) -> None:
@@ -158,25 +199,18 @@ def _evaluate_depth(arguments: argparse.Namespace) -> None:
     """Score depth predictions by the field's protocol (Eigen split) and print the means over images."""
     from tqdm import tqdm
 
-    from dualdepth.data.depth_maps import load_ground_truth
+    from dualdepth.data.depth_maps import load_ground_truth, pair_with_truths
     from dualdepth.data.kitti import read_frame_list
     from dualdepth.evaluation.depth import Protocol, evaluate, load_predictions, summary
 
     protocol = {field.name: getattr(arguments, field.name) for field in fields(Protocol)}
-    ground_truths = load_ground_truth(arguments.gt, allow_pickle=arguments.allow_pickle)
+    truths = load_ground_truth(arguments.gt, allow_pickle=arguments.allow_pickle)
     frames = read_frame_list(arguments.list) if arguments.list and arguments.weights else []
-    keys = [int(name) for name in ground_truths.names if re.fullmatch("[0-9]{1,9}", name)]
-    # a list may itself lack the frames that have no ground truth
-    places = keys if len(keys) == (held := len(ground_truths)) != len(frames) else [*range(held)]
-    if frames and len(frames) <= max(places):
-        raise InputError(f"{arguments.list}: lists {len(frames)} frames but {arguments.gt} holds {held}; give the list it was made from")
-    leak = _leak_of(arguments, arguments.list, "--list", lambda _: sorted({frames[place].drive for place in places}))
     predictions = load_predictions(arguments.pred, allow_pickle=arguments.allow_pickle)
-    listed, last = len(frames) or ground_truths.listed, max(places)
-    if held != (count := len(predictions)) > last and (count == listed or (last >= held and not listed)):  # of the whole list
-        predictions = [predictions[place] for place in places]
+    predictions, places = pair_with_truths(predictions, truths, len(frames), arguments.list)
+    leak = _leak_of(arguments, arguments.list, "--list", lambda _: sorted({frames[place].drive for place in places}))
     # shown in a terminal only: a bar in a pipe would break the one-line error
-    shown = tqdm(ground_truths, "scoring", unit="image", disable=None, leave=False)
+    shown = tqdm(truths, "scoring", unit="image", disable=None, leave=False)
     _report(summary(evaluate(predictions, shown, name=arguments.pred, **protocol)) | leak, arguments.json)
 
 

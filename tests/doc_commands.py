@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 import pytest
 
+from dualdepth.cli import EXAMPLES
+
 REPOSITORY = Path(__file__).parents[1]
 PAGES = [REPOSITORY / "README.md", REPOSITORY / "CONTRIBUTING.md", *sorted((REPOSITORY / "docs").glob("*.md"))]
 SHELL = ("bash", "sh", "shell", "console")
@@ -51,7 +53,8 @@ def inline_code(page: Path) -> list[str]:
 
 
 def fenced_commands() -> list[Command]:
-    """Every command of a fence: all lines of a shell's, and those that begin with a known program of one without language."""
+    """Every command of a fence: all lines of a shell's, and those that begin with a known program of one without language; and each
+    example of a `--help`."""
     found = []
     for page in PAGES:
         for language, content in fences(page):
@@ -60,7 +63,7 @@ def fenced_commands() -> list[Command]:
                     command = Command(page.name, text.strip())
                     if command.words and (language in SHELL or (not language and command.words[0] in PROGRAMS)):
                         found.append(command)
-    return found
+    return found + [Command(f"{program} --help", text) for program, examples in EXAMPLES.items() for text in examples]
 
 
 def inline_commands() -> list[Command]:

@@ -110,7 +110,7 @@ def in_its_ring(command: Command) -> object:
     return pytest.param(command, marks=[pytest.mark.slow] if command.words[:2] == ["dualdepth", "export"] else [], id=named(command))
 
 
-@pytest.mark.parametrize("command", [in_its_ring(command) for command in fenced_commands()])
+@pytest.mark.parametrize("command", [in_its_ring(command) for command in {c.text: c for c in fenced_commands()}.values()])
 def test_every_command_runs_on_small_data_or_is_dry_run(command, request, monkeypatch, capsys):
     entry = entry_of(command)
     assert entry, f"{named(command)}: a new command; add it to EXECUTED or DRY in tests/test_docs.py"

@@ -4,6 +4,7 @@ Maps are written and read one by one, so that the 697 of the Eigen split need no
 """
 
 import itertools
+import re
 import zipfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -97,3 +98,30 @@ def load_ground_truth(path: str | Path, *, allow_pickle: bool = False) -> DepthM
     if not getattr(archive, "files", None):
         raise InputError(f"{path}: not an npz file with depth maps; {MEND}")
     return DepthMaps(path, archive)
+
+
+def pair_with_truths(
+    predictions: Sequence[np.ndarray], truths: DepthMaps, frames: int = 0, source: str | None = None
+) -> tuple[Sequence[np.ndarray], list[int]]:
+    """The predictions of the images that have ground truth, and the places of these images in their list.
+
+    - The keys are the places, if all are numbers; else, and for a list of as many frames as there are maps, the places are 0, 1, 2, …
+      (a list may itself lack the frames that have no ground truth).
+    - Of predictions for the whole list those at the places are taken. They are for the whole list if they are not as many as the maps,
+      reach to the last place, and are as many as the list's frames; where nobody knows these, if a key is no place among the maps.
+    - All others are taken as they are, in the maps' order; whether they are as many, `evaluate` looks.
+
+    `frames` is the length of the list that a user gives, `source` its name; 0 takes that which the file notes, if it does.
+
+    Raises:
+        InputError: the list is shorter than the last place.
+    """
+    held, count = len(truths), len(predictions)
+    keys = [int(name) for name in truths.names if re.fullmatch("[0-9]{1,9}", name)]
+    places = keys if len(keys) == held != frames else [*range(held)]
+    last = max(places, default=-1)
+    if 0 < frames <= last:
+        raise InputError(f"{source}: lists {frames} frames but {truths.path} holds {held}; give the list it was made from")
+    listed = frames or truths.listed
+    whole = held != count > last and (count == listed or (last >= held and not listed))
+    return [predictions[place] for place in places] if whole else predictions, places
