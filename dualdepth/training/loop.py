@@ -147,6 +147,8 @@ class Trainer:
         accelerator = self.accelerator
         shares = {"accumulate": self.settings.accumulate, "processes": accelerator.num_processes, "rank": accelerator.process_index}
         samples = StatelessBatches(len(self.triplets), self.stage.batch_size, self.seed, self.start, self.total, **shares)
+        plan = f"{self.total} steps in batches of {self.stage.batch_size}, of {len(self.triplets)} triplets"
+        accelerator.print(f"{plan}, on {device_name()} in {self.precision}; the bar shows the time left", flush=True)
         batches = one_line_errors(make_loader(self.dataset, samples, self.settings.workers))
         log = TrainingLog(self.folder, self.start, tqdm.write) if self.main else None
         self.model.train()

@@ -44,7 +44,10 @@ def train_variant(run: Run, name: str, seed: int) -> Path:
             if is_main_process():
                 print(f"already trained: {card['steps']} steps, seed {seed}")
             return _mark(weights)
-        settings = getattr(profile.training, variant.stage)
+        settings, pretrained = getattr(profile.training, variant.stage), profile.training.pretrained
+        if is_main_process():
+            begins = f"stage 1's {start}" if start else {True: "ImageNet's weights", False: "random weights"}.get(pretrained, pretrained)
+            print(f"{name}, seed {seed}: {variant.label}, starting from {begins}", flush=True)
         trainer = Trainer(lambda: make_stage(run.profile, name, start), settings, profile, triplets, folder, seed=seed, recipe=recipe)
         before = load_card(start) if start else None
         card = {
@@ -53,7 +56,7 @@ def train_variant(run: Run, name: str, seed: int) -> Path:
             **run.profile.architecture(name).model_dump(),
             "hr_size": list(profile.data.hr_size),
             # whether the encoder began with ImageNet's weights, here or in stage 1
-            "pretrained": variant.network != "hr" and (before["pretrained"] if before else bool(profile.training.pretrained)),
+            "pretrained": variant.network != "hr" and (before["pretrained"] if before else bool(pretrained)),
             "drives": sorted(set(drives) | set(before["drives"] if before else ())),
             "pose_encoder": profile.training.beyond_paper_pose_encoder,
             "average": profile.training.beyond_paper_average,

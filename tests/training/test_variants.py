@@ -12,6 +12,7 @@ from small_stages import OTHER, STEPS, change_card, part
 
 from dualdepth.data.odometry import odometry_triplets
 from dualdepth.data.triplets import write_triplets
+from dualdepth.device import device_name
 from dualdepth.errors import InputError
 from dualdepth.files import file_digest, locked
 from dualdepth.model import load, load_pose_net
@@ -140,12 +141,16 @@ def test_whether_imagenets_weights_are_in_it_stands_in_stage_1s_card(after_stage
 
 
 @pytest.mark.parametrize(("name", "network"), [("lr", "lr"), ("dual", "dual"), ("hr_only", "hr"), ("one_network", "single")])
-def test_each_kind_of_network_is_trained_and_read_back(trained, after_stage_1, name, network):
+def test_each_kind_of_network_is_trained_as_said_before_and_read_back(trained, after_stage_1, name, network, capsys):
     run = trained if name in ("lr", "dual") else after_stage_1()
     weights = run.weights(name, 0)
     if run is not trained:
         train_variant(run, name, 0)
         assert load_card(weights)["steps"] == 1
+        begins = {"hr_only": f"HR-Net by itself, starting from stage 1's {run.weights('lr', 0)}"}
+        begins["one_network"] = "one, starting from random weights"
+        plan = f"{name}, seed 0: {begins[name]}\n1 steps in batches of 1, of 3 triplets, on {device_name()} in float32; "
+        assert capsys.readouterr().out.startswith(plan)
         drives = {"hr_only": [DRIVE, OTHER], "one_network": [OTHER]}[name]
         assert load_card(weights)["drives"] == drives
         assert (load_card(weights)["starts_from"] is None) == (name == "one_network")
