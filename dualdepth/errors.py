@@ -2,7 +2,6 @@
 
 import contextlib
 import errno
-import functools
 import os
 import sys
 from collections.abc import Iterator
@@ -18,10 +17,14 @@ class InputError(Exception):
     """
 
 
-@functools.cache
+SAID: dict[str, object] = {}
+"""Notes of this process."""
+
+
 def note(text: str) -> None:
-    """Print one line on stderr, above any progress bar, once in a process."""
-    tqdm.write(f"note: {text}", file=sys.stderr)
+    """Print one line on stderr, above any progress bar, once in a process, however many of its threads say it together."""
+    if SAID.setdefault(text, mark := object()) is mark:
+        tqdm.write(f"note: {text}", file=sys.stderr)
 
 
 @contextlib.contextmanager

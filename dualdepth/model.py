@@ -175,8 +175,8 @@ class DepthModel(nn.Module, ModelHubMixin):
         inspect.signature(snapshot_download).bind(weights, **hub)  # unknown options are a TypeError of folders, too
         path = Path(weights)
         if not path.exists():
-            if path.is_absolute() or path.suffix == ".safetensors":
-                raise InputError(f"{weights}: no such weights; give {WEIGHTS} of a training, its folder, or a name on the model hub")
+            if path.is_absolute() or path.suffix == ".safetensors" or str(weights).count("/") != 1:
+                raise InputError(f"{weights}: no such weights; give {WEIGHTS} of a training, its folder, or owner/name on the model hub")
             try:
                 path = Path(snapshot_download(str(weights), allow_patterns=[HUB_CARD, WEIGHTS], **hub))
             except (OSError, ValueError) as error:  # no network, no such name

@@ -52,9 +52,9 @@ def pytest_collection_modifyitems(items):
 @pytest.fixture(autouse=True)
 def all_notes():
     """Notes that an earlier test met are said again."""
-    from dualdepth.errors import note
+    from dualdepth.errors import SAID
 
-    note.cache_clear()
+    SAID.clear()
 
 
 @pytest.fixture(scope="session")

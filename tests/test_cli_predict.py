@@ -222,6 +222,7 @@ def test_the_card_of_weights_that_a_link_points_to_is_found(photos, run, weights
     [
         (["gone.png"], "gone.png: "),
         (["{photos}", "--weights", "gone.safetensors"], "gone.safetensors: "),
+        (["{photos}", "--weights", "gone"], "gone: no such weights; give "),  # the hub, whose names are owner/name, is not asked
         (["{photos}", "--save", "colour,gif"], "'gif'"),
         *(
             (["{photos}", option, value], f"{option}: {value} must be")

@@ -108,7 +108,7 @@ def colour_ends(depth: np.ndarray) -> np.ndarray:
     """Ends (far, near) of a colour scale: the 2nd and 98th percentile of 1 / depth (H, W), so that few pixels do not take all colours."""
     step = max(1, min(depth.shape) // 256)  # a sample is enough, and at 4K much faster
     far, near = np.percentile(1.0 / depth[::step, ::step], (2, 98))
-    return np.array([far, max(near, far * 1.001)])
+    return np.array([far, max(near, far * 1.25)])  # of a nearly flat wall, whose noise would else take them all
 
 
 def colours_of(depth: np.ndarray, ends: np.ndarray) -> np.ndarray:

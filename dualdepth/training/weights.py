@@ -50,11 +50,12 @@ def load_card(path: str | Path) -> dict[str, Any]:
     """Read the card of a weights file: `<name>.json` beside it or `config.json`, as the hub has it; of a link, beside the file itself, too.
 
     Raises:
-        InputError: there is none, or it is not JSON.
+        InputError: there is none, or no weights either, or it is not JSON.
     """
+    there = Path(path).exists()
     places = [file for place in (Path(path), Path(path).resolve()) for file in (place.with_suffix(".json"), place.with_name(HUB_CARD))]
-    card = next((file for file in places if file.exists()), places[0] if Path(path).exists() else Path(path))
-    with reading(card, "keep the weights' card beside them"):
+    card = next((file for file in places if file.exists()), places[0] if there else Path(path))
+    with reading(card, "keep the weights' card beside them" if there else "give the weights of a training"):
         values = json.loads(card.read_text(encoding="utf-8"))
         if not isinstance(values, dict):
             raise ValueError(f"expected a mapping, found {type(values).__name__}")

@@ -1,5 +1,7 @@
 """Results say what they are, and hold the depth that was predicted."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import cv2
 import numpy as np
 import PIL.Image
@@ -7,6 +9,7 @@ import pytest
 from small_kitti import wall
 
 from dualdepth.data.frames import Video
+from dualdepth.errors import note
 from dualdepth.inference.results import SMALLEST, SUFFIXES, WIDEST, Style, colour_ends, colours_of, picture, save, write_video
 
 STYLE = Style("Depth is relative. Learned by a 3×3 net.")
@@ -34,6 +37,9 @@ def test_a_png_of_which_much_is_at_its_end_says_so_once_and_how_to_keep_it(depth
     for far, said in ((24, 0), (25, 1), (1000, 0)):  # 1 % are allowed
         save("depth", tmp_path / "d.png", wall(40, 60), np.where(np.arange(2400).reshape(40, 60) < far, 300, depth.clip(0, 200)), STYLE)
         assert capsys.readouterr().err.count("from 256 up is cut off in PNG files; --scale 0.1 or --save npy keeps it\n") == said
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(note, [f"text {i // 8}" for i in range(400)]))
+    assert capsys.readouterr().err.count("\n") == 50
 
 
 def read_ply(path):
@@ -72,6 +78,8 @@ def test_near_is_bright_and_far_is_dark():
     drawn = colours_of(depth, colour_ends(depth)).sum(2)
     assert drawn[0, 0] > 500 > 50 > drawn[-1, -1]
     assert (np.diff(drawn.ravel().astype(int)) <= 1).all()
+    flat = np.linspace(5, 5.05, 2400, dtype=np.float32).reshape(40, 60)  # constant to 1 %
+    assert np.ptp(colours_of(flat, colour_ends(flat)), axis=(0, 1)).max() < 20
 
 
 @pytest.mark.parametrize("size", [(1, 1), (16, 24), (375, 1242), (700, 301)])
