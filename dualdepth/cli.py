@@ -21,15 +21,9 @@ EXAMPLES = {
         "dualdepth evaluate depth --pred disparities.npy --gt gt.npz --kind disparity",
         "dualdepth evaluate odometry --pred 09.txt --gt poses/09.txt",
     ],
-    "dualdepth evaluate depth": [
-        "dualdepth evaluate depth --pred disparities.npy --gt gt.npz --kind disparity",
-        "dualdepth evaluate depth --pred depths.npy --gt gt.npz --no-median-scaling --json scores.json",
-    ],
+    "dualdepth evaluate depth": ["dualdepth evaluate depth --pred disparities.npy --gt gt.npz --kind disparity --json scores.json"],
     "dualdepth evaluate odometry": ["dualdepth evaluate odometry --pred 09.txt --gt poses/09.txt --json scores.json"],
-    "dualdepth reproduce": [
-        "dualdepth reproduce --profile tiny",
-        "dualdepth reproduce --profile paper --kitti-root /data/kitti_raw --seeds 0,1,2",
-    ],
+    "dualdepth reproduce": ["dualdepth reproduce --profile tiny", "dualdepth reproduce --profile paper --kitti-root /data/kitti_raw"],
     "dualdepth train": ["dualdepth train --profile tiny", "dualdepth train --profile paper --variant dual --seed 1"],
     "dualdepth notebook": ["dualdepth notebook 03_train_lr --out 03.ipynb --set profile=tiny seed=1"],
     "dualdepth predict": ["dualdepth predict photo.jpg --out depth", "dualdepth predict photo.jpg --save colour,ply --fov 60 --out depth"],
@@ -52,13 +46,7 @@ class OneLineParser(argparse.ArgumentParser):
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the command line.
-
-    Args:
-        argv: arguments without the program's name; None takes those of the process.
-
-    Returns:
-        Exit code, 0 for success.
+    """Run the command line by `argv`, without the program's name, or by the process's own arguments; gives the exit code, 0 for success.
 
     Raises:
         SystemExit: code 2 after one line on stderr, for a user's mistake; code 130 after Ctrl-C; code 0 after `--help` or `--version`.

@@ -138,10 +138,7 @@ def standard_variants() -> dict[str, Variant]:
 
 
 def load_profile(name: str) -> Profile:
-    """Read and validate a profile.
-
-    Args:
-        name: `tiny`, `miniature`, `claims`, `sample`, `paper`, `own`, or the path of a YAML file; the run is named by the file's stem.
+    """Read and validate a profile: `tiny`, `miniature`, `claims`, `sample`, `paper`, `own`, or a YAML file, by whose stem the run is named.
 
     Raises:
         InputError: no such profile, no valid YAML, or a bad key or value; the message names the file and the nearest known key.

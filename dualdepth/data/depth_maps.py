@@ -20,18 +20,14 @@ LARGEST = 4 * 10**9
 
 
 def save_ground_truth(path: str | Path, maps: Iterable[np.ndarray], names: Iterable[str] | None = None, listed: int = 0) -> int:
-    """Write depth maps to a compressed npz, atomically, one array per image in the given order and without pickle.
+    """Write depth maps to a compressed npz, atomically, one array per image in the given order and without pickle; gives their number.
 
     The same maps give the same bytes.
 
     Args:
-        path: the npz file.
-        maps: (H, W) depth in metres each, 0 where there is no measurement; sizes may differ. May be a generator.
+        path, maps: the file, and (H, W) depth in metres each, 0 where there is no measurement; sizes may differ. May be a generator.
         names: a key for each map; else its number as `%06d`.
         listed: frames of the list in which the keys are places, 0 where there is none.
-
-    Returns:
-        Number of maps written.
 
     Raises:
         InputError: the file cannot be written.

@@ -27,10 +27,7 @@ def label_path(labels_root: str | Path, frame: Frame) -> Path:
 
 
 def read_label_map(path: str | Path) -> np.ndarray:
-    """Read a label map.
-
-    Returns:
-        (H, W) uint8: training ids 0 … 18, or 255 (ignore). Of a file with a palette the indices count, not their colours.
+    """Read a label map, (H, W) uint8: training ids 0 … 18, or 255 (ignore). Of a file with a palette the indices count, not their colours.
 
     Raises:
         InputError: missing, damaged, no PNG, of several channels or 16 bits, or it holds other ids.

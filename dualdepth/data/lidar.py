@@ -18,10 +18,7 @@ LARGEST_SIDE = 20_000  # Pixels of an image's side that a calibration may announ
 
 
 def read_scan(path: str | Path) -> np.ndarray:
-    """Read a Velodyne scan.
-
-    Returns:
-        (N, 4) float32 in the laser's frame: forward, left, up in metres, and reflectance.
+    """Read a Velodyne scan, (N, 4) float32 in the laser's frame: forward, left, up in metres, and reflectance.
 
     Raises:
         InputError: missing, empty, of a size that is no multiple of 16 bytes, or not finite.
@@ -93,12 +90,9 @@ def depth_from_scan(scan: np.ndarray, projection: np.ndarray, size: tuple[int, i
 
 
 def ground_truth(root: str | Path, frame: Frame, *, camera_z: bool = False) -> np.ndarray:
-    """Sparse depth of a frame from the laser scan of the same number, at the size of its image.
+    """Sparse depth (H, W) float32 of a frame in metres, 0 for none, from the laser scan of the same number, at the size of its image.
 
     Without the image the size is the calibration's `S_rect`, which is the same on KITTI raw.
-
-    Returns:
-        (H, W) float32 in metres, 0 where there is no measurement.
 
     Raises:
         InputError: scan, image or calibration is missing or broken.
@@ -136,10 +130,9 @@ def improved_path(root: str | Path, frame: Frame) -> Path | None:
 
 
 def improved_ground_truth(root: str | Path, frame: Frame) -> np.ndarray:
-    """Accumulated, filtered laser depth of a frame (Uhrig et al. 2017; 652 of the 697 Eigen test frames have it).
+    """Accumulated, filtered laser depth (H, W) float32 of a frame, in metres along the camera's axis, 0 for none (Uhrig et al. 2017).
 
-    Returns:
-        (H, W) float32 in metres along the camera's axis, 0 where there is no measurement.
+    652 of the 697 Eigen test frames have it.
 
     Raises:
         InputError: there is no such map, or the file is no 16-bit PNG with one channel.

@@ -69,8 +69,7 @@ def augment(
         matrix: intrinsics (3, 3) of the raw frame.
         size: HR size (height, width). With `augment_first` off (the order the paper calls worse) frames are first shrunk to a
             third of it, the LR size, and cropped there; the result then has the LR size.
-        settings: of the augmentation.
-        rng: fixes the draw.
+        settings, rng: of the augmentation, and what fixes the draw.
 
     Returns:
         (len(frames), h, w, 3) uint8 and the view's intrinsics (3, 3) float64.

@@ -58,10 +58,9 @@ def _named(root: Path, folders: Sequence[str], before: str, after: str) -> dict[
 
 
 def read_grid(path: str | Path) -> np.ndarray:
-    """Distances of a laser grid, the fourth channel of its points.
+    """Distances (55, 305) float64 of a laser grid, the fourth channel of its points: metres along the ray; some 80 m stand for no return.
 
-    Returns:
-        (55, 305) float64, metres along the ray; rows from the top, over the whole photo. Some 80 m stand for no return.
+    Its rows are from the top, over the whole photo.
 
     Raises:
         InputError: missing, no `.mat` file, or one without `Position3DGrid` of shape (55, 305, 4).
@@ -77,10 +76,7 @@ def read_grid(path: str | Path) -> np.ndarray:
 
 
 def read_photo(path: str | Path) -> np.ndarray:
-    """Decode a photo to RGB; one that lacks its end keeps its size and is grey where nothing is left.
-
-    Returns:
-        (H, W, 3) uint8.
+    """Decode a photo to RGB, (H, W, 3) uint8; one that lacks its end keeps its size and is grey where nothing is left.
 
     Raises:
         InputError: missing, no image, or more than half of it is lacking.

@@ -188,14 +188,10 @@ def write_trajectory(path: str | Path, poses: np.ndarray) -> None:
 def pair_frames(
     prediction: Trajectory, truth: Trajectory, names: tuple[str, str] = ("the prediction", "the ground truth")
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The frames that both trajectories have, and their poses in each.
+    """The frames that both trajectories have, and their poses in each; `names` are those of the two in messages.
 
-    A prediction with frame numbers is matched by them; one without has a pose for each of the ground truth's, in order.
-
-    Args:
-        prediction: what is scored.
-        truth: what it is compared with; without frame numbers its first pose is frame 0's.
-        names: of the two, for messages: their files.
+    A prediction with frame numbers is matched by them; one without has a pose for each of the ground truth's, in order. The first pose
+    of a ground truth without frame numbers is frame 0's.
 
     Returns:
         (M,) frame numbers, (M, 4, 4) predicted and (M, 4, 4) true poses.

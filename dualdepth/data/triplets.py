@@ -76,11 +76,9 @@ def missing_neighbours(root: str | Path, targets: Iterable[Frame]) -> list[Frame
 
 
 def missing_files_error(what: str, root: str | Path, missing: Iterable[tuple[Frame, str]]) -> InputError:
-    """One message for all missing files, neighbours in number written as ranges.
+    """One message for all files that are `missing` below `root`, `what` says for what: frames and the folder, such as `image_02`, of each.
 
-    Args:
-        what, root: what the files are for, and where they are missing.
-        missing: frames and the folder of the missing file, such as `image_02` or `velodyne_points`.
+    Neighbours in number are written as ranges.
     """
     folders: dict[str, set[int]] = {}
     for frame, folder in missing:

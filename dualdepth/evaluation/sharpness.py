@@ -10,14 +10,10 @@ BOUNDARY_RATIOS = tuple(np.linspace(1.05, 1.25, 10))
 
 
 def tenengrad(values: np.ndarray, thresholds: Sequence[float]) -> np.ndarray:
-    """Σ |G(x, y)| over the pixels where G > t (paper, equation "Tenengrad"), for each t.
+    """Σ |G(x, y)| over the pixels of depth or inverse depth (H, W) where G > t (paper, equation "Tenengrad"), for each t.
 
-    G = √(Gx² + Gy²) by 3×3 Sobel filters with their plain taps 1-2-1, borders reflected. The paper sums |G| where the classic measure
-    sums its square, and says neither t nor what depth is measured in.
-
-    Args:
-        values: (H, W) depth or inverse depth.
-        thresholds: in units of `values`, eight times the step from pixel to pixel.
+    G = √(Gx² + Gy²) by 3×3 Sobel filters with their plain taps 1-2-1, borders reflected; t is in units of `values`, eight times the step
+    from pixel to pixel. The paper sums |G| where the classic measure sums its square, and says neither t nor what depth is measured in.
     """
     values = np.ascontiguousarray(values, np.float32)
     across, down = (cv2.Sobel(values, cv2.CV_32F, dx, dy, ksize=3, borderType=cv2.BORDER_REFLECT_101) for dx, dy in ((1, 0), (0, 1)))

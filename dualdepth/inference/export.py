@@ -31,8 +31,7 @@ def export_onnx(weights: str | Path, out: str | Path, frames: Sequence[str | Pat
     of a dual network's LR-Net, is not part of it.
 
     Args:
-        weights: as `dualdepth.load` takes them.
-        out: the file, `….onnx`.
+        weights, out: as `dualdepth.load` takes them, and the file, `….onnx`.
         frames: image files to compare on; without any, three made-up images are.
 
     Returns:

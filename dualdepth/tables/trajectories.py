@@ -22,14 +22,10 @@ NO_SEQUENCES = "no ODOMETRY_ROOT; get it with python data_scripts/download_kitti
 
 
 def chain(motions: np.ndarray) -> np.ndarray:
-    """Camera poses of a sequence from PoseNet's motions.
+    """Camera poses (N, 4, 4), camera → first camera, of a sequence from PoseNet's motions (N − 2, 2, 4, 4) of the frames 1 … N − 2.
 
-    Args:
-        motions: (N − 2, 2, 4, 4), target → previous and target → next frame, of the frames 1 … N − 2.
-
-    Returns:
-        (N, 4, 4), camera → first camera. The step from k to k + 1 is the one that the triplet around k gives; the first step, which
-        has no such triplet, is from the triplet around 1.
+    Motions are target → previous and target → next frame. The step from k to k + 1 is the one that the triplet around k gives; the first
+    step, which has no such triplet, is from the triplet around 1.
     """
     poses = [np.eye(4), motions[0, 0]]
     for target_to_next in motions[:, 1]:

@@ -81,8 +81,7 @@ def load_weights(path: str | Path, model: nn.Module, prefix: str = "") -> dict[s
 
     Args:
         path: the safetensors file; its card lies beside it.
-        model: takes the tensors whose names begin with `prefix`, without it.
-        prefix: of the part to load, such as `depth_net.`.
+        model, prefix: takes the tensors whose names begin with the prefix, such as `depth_net.`, without it.
 
     Raises:
         InputError: the file is missing, truncated, changed since its card was written, or of another network.
