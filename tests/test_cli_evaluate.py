@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -232,10 +233,7 @@ def test_scores_need_no_torch():
 
 
 def test_ctrl_c_is_one_line_that_says_how_to_go_on(monkeypatch, capsys):
-    def interrupted(_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("dualdepth.cli._train", interrupted)
+    monkeypatch.setattr("dualdepth.cli._train", Mock(side_effect=KeyboardInterrupt, __doc__=""))
     with pytest.raises(SystemExit, match="130"):
         main(["train"])
     assert capsys.readouterr().err == "stopped; the same command goes on where it was\n"

@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -244,10 +245,7 @@ def test_mistakes_are_one_line_and_nothing_is_written(photos, run, out, refused,
 
 
 def test_a_full_disk_ends_it_in_one_line(photos, run, out, capsys, monkeypatch):
-    def full(*_args, **_options):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("dualdepth.inference.files.save", full)
+    monkeypatch.setattr("dualdepth.inference.files.save", Mock(side_effect=OSError(28, "No space left on device")))
     with pytest.raises(SystemExit, match="2"):
         run(photos)
     last = capsys.readouterr().err.splitlines()[-1]

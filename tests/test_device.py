@@ -2,6 +2,7 @@
 
 import ctypes
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 import torch
@@ -59,10 +60,5 @@ def test_device_and_precision_of_predictions_are_chosen_and_settable(monkeypatch
 
 @pytest.mark.parametrize("library", [OSError("no libc.so.6"), object()])
 def test_an_allocator_that_is_not_glibcs_is_left_alone(monkeypatch, library):
-    def load(name):
-        if isinstance(library, Exception):
-            raise library
-        return library
-
-    monkeypatch.setattr(ctypes, "CDLL", load)
+    monkeypatch.setattr(ctypes, "CDLL", Mock(side_effect=[library]))
     keep_freed_memory()

@@ -1,6 +1,7 @@
 """Results say what they are, and hold the depth that was predicted."""
 
 from concurrent.futures import ThreadPoolExecutor
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -97,10 +98,7 @@ def test_pictures_hold_the_image_whole_beside_a_bar_of_one_width_for_all_depths(
 
 @pytest.mark.parametrize("kind", SUFFIXES)
 def test_nothing_half_written_is_left(kind, tmp_path, depth, monkeypatch):
-    def fail(*_):
-        raise OSError("no space")
-
-    monkeypatch.setattr("os.replace", fail)
+    monkeypatch.setattr("os.replace", Mock(side_effect=OSError("no space")))
     with pytest.raises(OSError, match="no space"):
         save(kind, tmp_path / f"d{SUFFIXES[kind]}", wall(40, 60), depth, STYLE)
     assert not list(tmp_path.iterdir())

@@ -1,5 +1,7 @@
 """A training that was stopped or killed, or could not write, goes on as if nothing had been."""
 
+from unittest.mock import Mock
+
 import pandas as pd
 import pytest
 import torch
@@ -125,9 +127,6 @@ def test_a_checkpoint_of_another_recipe_is_not_resumed(run, whole, tmp_path, cap
 
 
 def test_a_log_that_cannot_be_written_is_a_warning(run, whole, monkeypatch, capsys):
-    def refuse(path, text):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("dualdepth.training.log.write_text", refuse)
+    monkeypatch.setattr("dualdepth.training.log.write_text", Mock(side_effect=OSError(28, "No space left on device")))
     assert equal(run("full"), whole)
     assert "warning: the log was not written ([Errno 28] No space left on device)" in capsys.readouterr().out

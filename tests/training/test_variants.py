@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+from unittest.mock import Mock
 
 import pytest
 import torch
@@ -126,18 +127,13 @@ def test_the_card_says_which_network_it_is_what_it_saw_and_what_it_started_from(
 @pytest.mark.parametrize("name", ["dual", "dual_no_sa", "hr_only"])
 def test_whether_imagenets_weights_are_in_it_stands_in_stage_1s_card(after_stage_1, monkeypatch, name, said):
     """The profile says that there are none, and HR-Net by itself never has any."""
-    cards = []
-
-    def note(trainer, card):
-        cards.append(card)
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(Trainer, "run", note)
+    begun = Mock(side_effect=KeyboardInterrupt)
+    monkeypatch.setattr(Trainer, "run", begun)
     run = after_stage_1()
     change_card(run, pretrained=said)
     with pytest.raises(KeyboardInterrupt):
         train_variant(run, name, 0)
-    assert cards[0]["pretrained"] == (said and name != "hr_only")
+    assert begun.call_args.args[0]["pretrained"] == (said and name != "hr_only")
 
 
 @pytest.mark.parametrize(("name", "network"), [("lr", "lr"), ("dual", "dual"), ("hr_only", "hr"), ("one_network", "single")])
