@@ -8,8 +8,6 @@ from dualdepth.networks.pose_net import PoseNet
 
 
 class Net(nn.Module):
-    """Has a depth network and a pose network by name."""
-
     def __init__(self, width=3):
         super().__init__()
         self.depth_net = nn.Sequential(nn.Conv2d(1, width, 3), nn.BatchNorm2d(width))
