@@ -46,8 +46,8 @@ def train_variant(run: Run, name: str, seed: int) -> Path:
             return _mark(weights)
         settings, pretrained = getattr(profile.training, variant.stage), profile.training.pretrained
         if is_main_process():
-            begins = {True: "ImageNet's weights", False: "random weights"}.get(pretrained, pretrained)
-            print(f"{name}, seed {seed}: {variant.label}, starting from {f'stage 1 ({variant.starts_from})' if start else begins}", flush=True)
+            base = {True: "ImageNet's weights", False: "random weights"}.get(pretrained, pretrained)
+            print(f"{name}, seed {seed}: {variant.label}, starting from", f"stage 1 ({variant.starts_from})" if start else base, flush=True)
         trainer = Trainer(lambda: make_stage(run.profile, name, start), settings, profile, triplets, folder, seed=seed, recipe=recipe)
         before = load_card(start) if start else None
         card = {
