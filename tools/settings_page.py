@@ -45,7 +45,7 @@ def _section(model: type[BaseModel], prefix: str) -> list[str]:
         if section and section is not Variant:
             inner += _section(section, f"{prefix}{name}.")
         needed = field.is_required() or (section and field.default is not None)
-        default = "" if needed else f"`{json.dumps(field.default)}`".replace('"', "")
+        default = "" if needed else f"`{field.default if isinstance(field.default, str) else json.dumps(field.default)}`"
         values = "a section, below" if section and section is not Variant else _values(field)
         lines.append(f"| `{prefix}{name}` | {values} | {default} | {meanings.get(name, '')} |")
     return lines + inner
