@@ -2,7 +2,7 @@
 
 ```
 import dualdepth
-model = dualdepth.load()   # the package's own weights; or a file, a folder, a name on the model hub
+model = dualdepth.load()   # the package's own weights; or a file, a folder, owner/name on the model hub
 depth = model.predict("street.jpg")           # (H, W) float32, relative depth
 ```
 """

@@ -187,16 +187,17 @@ def _evaluate_depth(arguments: argparse.Namespace) -> None:
     """Score depth predictions by the field's protocol (Eigen split) and print the means over images."""
     from tqdm import tqdm
 
-    from dualdepth.data.depth_maps import load_ground_truth, pair_with_truths
+    from dualdepth.data.depth_maps import at_places, load_ground_truth, places_of
     from dualdepth.data.kitti import read_frame_list
     from dualdepth.evaluation.depth import Protocol, evaluate, load_predictions, summary
 
     protocol = {field.name: getattr(arguments, field.name) for field in fields(Protocol)}
     truths = load_ground_truth(arguments.gt, allow_pickle=arguments.allow_pickle)
     frames = read_frame_list(arguments.list) if arguments.list and arguments.weights else []
-    predictions = load_predictions(arguments.pred, allow_pickle=arguments.allow_pickle)
-    predictions, places = pair_with_truths(predictions, truths, len(frames), arguments.list)
+    places = places_of(truths, len(frames), arguments.list)
     leak = _leak_of(arguments, arguments.list, "--list", lambda _: sorted({frames[place].drive for place in places}))
+    predictions = load_predictions(arguments.pred, allow_pickle=arguments.allow_pickle)
+    predictions = at_places(predictions, places, len(frames) or truths.listed)
     # shown in a terminal only: a bar in a pipe would break the one-line error
     shown = tqdm(truths, "scoring", unit="image", disable=None, leave=False)
     _report(summary(evaluate(predictions, shown, name=arguments.pred, **protocol)) | leak, arguments.json)

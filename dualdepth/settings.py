@@ -235,7 +235,6 @@ class Variant(Design, Settings):
     """One training: which network learns (the words of `Design`), from what, what it changes in the profile (`dualdepth/variants.yaml`)."""
 
     network: Network
-    """See `Design`."""
     label: str
     """Its name in tables."""
     about: str

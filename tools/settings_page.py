@@ -1,11 +1,13 @@
-"""Write docs/settings.md: every setting of a profile with its type, its default and what its docstring says."""
+"""Write docs/settings.md: every setting of a profile with its values, its default and what its docstring says."""
 
 import ast
 import inspect
 import json
 import textwrap
+import types
 import typing
 from pathlib import Path
+from typing import Any
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
@@ -13,7 +15,8 @@ from pydantic.fields import FieldInfo
 from dualdepth.profile import PROFILES, Profile, load_profile
 from dualdepth.settings import Variant
 
-KINDS = {"int": "whole number", "float": "number", "bool": "true or false", "str": "text"}
+KINDS = {int: "whole number", float: "number", bool: "true or false", str: "text", type(None): "null", dict: "mapping", Any: "any"}
+UNIONS = (typing.Union, types.UnionType)
 PAGE = Path(__file__).parents[1] / "docs" / "settings.md"
 INTRODUCTION = """# Profiles and settings
 
@@ -38,15 +41,16 @@ def page() -> str:
 def _section(model: type[BaseModel], prefix: str) -> list[str]:
     """Heading and table of a section, then those of the sections in it."""
     title = f"`{prefix.rstrip('.')}`" if prefix else "The profile itself"
+    title += ", below the name of each" if model is Variant else ""
     about, meanings = " ".join(inspect.cleandoc(model.__doc__ or "").split()), _meanings(model)
     lines, inner = ["", f"## {title}", "", about, "", "| setting | values | default | meaning |", "|---|---|---|---|"], []
     for name, field in model.model_fields.items():
         section = next((t for t in (field.annotation, *typing.get_args(field.annotation)) if _is_section(t)), None)
-        if section and section is not Variant:
+        if section:
             inner += _section(section, f"{prefix}{name}.")
         needed = field.is_required() or (section and field.default is not None)
         default = "" if needed else f"`{field.default if isinstance(field.default, str) else json.dumps(field.default)}`"
-        values = "a section, below" if section and section is not Variant else _values(field)
+        values = "a section, below" if section else _values(field)
         lines.append(f"| `{prefix}{name}` | {values} | {default} | {meanings.get(name, '')} |")
     return lines + inner
 
@@ -57,24 +61,34 @@ def _is_section(kind: object) -> bool:
 
 def _values(field: FieldInfo) -> str:
     """The choices or the type of a setting, with its limits."""
-    if typing.get_origin(field.annotation) is typing.Literal:
-        return ", ".join(f"`{choice}`" for choice in typing.get_args(field.annotation))
-    kind = KINDS.get(getattr(field.annotation, "__name__", ""), "")
     signs = {"ge": "≥", "gt": ">", "le": "≤", "lt": "<"}
     limits = [f"{sign} {getattr(part, name)}" for part in field.metadata for name, sign in signs.items() if hasattr(part, name)]
-    return ", ".join([*([kind] if kind else []), *limits])
+    return ", ".join([_kind(field.annotation), *limits])
+
+
+def _kind(annotation: object) -> str:
+    """A type in words."""
+    origin, parts = typing.get_origin(annotation), typing.get_args(annotation)
+    if origin is typing.Literal:
+        return ", ".join(f"`{choice}`" for choice in parts)
+    if origin is typing.Annotated:
+        return _kind(parts[0])
+    words = [_kind(part) for part in parts]
+    if origin is list:
+        return f"list: {words[0]}"
+    return f"[{', '.join(words)}]" if origin is tuple else " or ".join(words) if origin in UNIONS else KINDS[origin or annotation]
 
 
 def _meanings(model: type[BaseModel]) -> dict[str, str]:
     """What stands below each field, or behind it as a comment."""
+    meanings = _meanings(model.__base__) if model.__base__ is not BaseModel else {}
     source = textwrap.dedent(inspect.getsource(model))
     lines, body = source.splitlines(), ast.parse(source).body[0].body
-    meanings = {}
     for field, below in zip(body, [*body[1:], None]):
         if isinstance(field, ast.AnnAssign):
             comment = lines[field.end_lineno - 1][field.end_col_offset :].strip().removeprefix("#").strip()
             told = ast.literal_eval(below.value) if isinstance(below, ast.Expr) else comment
-            meanings[field.target.id] = " ".join(told.split()).replace("|", "\\|")
+            meanings[field.target.id] = " ".join(told.split()).replace("|", "\\|") or meanings.get(field.target.id, "")
     return meanings
 
 

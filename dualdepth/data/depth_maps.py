@@ -22,11 +22,9 @@ LARGEST = 4 * 10**9
 def save_ground_truth(path: str | Path, maps: Iterable[np.ndarray], names: Iterable[str] | None = None, listed: int = 0) -> int:
     """Write depth maps to a compressed npz, atomically, one array per image in the given order and without pickle; gives their number.
 
-    The same maps give the same bytes.
-
     Args:
         path, maps: the file, and (H, W) depth in metres each, 0 where there is no measurement; sizes may differ. May be a generator.
-        names: a key for each map; else its number as `%06d`.
+        names: a key for each map; else its number as `%06d`. The same maps and names give the same bytes.
         listed: frames of the list in which the keys are places, 0 where there is none.
 
     Raises:
@@ -96,28 +94,27 @@ def load_ground_truth(path: str | Path, *, allow_pickle: bool = False) -> DepthM
     return DepthMaps(path, archive)
 
 
-def pair_with_truths(
-    predictions: Sequence[np.ndarray], truths: DepthMaps, frames: int = 0, source: str | None = None
-) -> tuple[Sequence[np.ndarray], list[int]]:
-    """The predictions of the images that have ground truth, and the places of these images in their list.
+def places_of(truths: DepthMaps, frames: int = 0, source: str | None = None) -> list[int]:
+    """Places, in their list, of the images that have ground truth; the list, where one is given, is of so many frames and named `source`.
 
-    - The keys are the places, if all are numbers; else, and for a list of as many frames as there are maps, the places are 0, 1, 2, …
-      (a list may itself lack the frames that have no ground truth).
-    - Of predictions for the whole list those at the places are taken. They are for the whole list if they are not as many as the maps,
-      reach to the last place, and are as many as the list's frames; where nobody knows these, if a key is no place among the maps.
-    - All others are taken as they are, in the maps' order; whether they are as many, `evaluate` looks.
-
-    `frames` is the length of the list that a user gives, `source` its name; 0 takes that which the file notes, if it does.
+    They are the keys, if all are numbers; else, and for a list that has as many frames as there are maps (and lacks the others), 0, 1, 2, …
 
     Raises:
         InputError: the list is shorter than the last place.
     """
-    held, count = len(truths), len(predictions)
-    keys = [int(name) for name in truths.names if re.fullmatch("[0-9]{1,9}", name)]
+    keys, held = [int(name) for name in truths.names if re.fullmatch("[0-9]{1,9}", name)], len(truths)
     places = keys if len(keys) == held != frames else [*range(held)]
-    last = max(places, default=-1)
-    if 0 < frames <= last:
+    if 0 < frames <= max(places, default=-1):
         raise InputError(f"{source}: lists {frames} frames but {truths.path} holds {held}; give the list it was made from")
-    listed = frames or truths.listed
+    return places
+
+
+def at_places(predictions: Sequence[np.ndarray], places: list[int], listed: int) -> Sequence[np.ndarray]:
+    """Predictions at the places if they are for the whole list, else as they are; whether they are as many, `evaluate` looks.
+
+    They are for the whole list if they are not as many as the places, reach to the last one, and are as many as `listed` frames; where
+    nobody knows these (0), if the last place lies beyond the number of places.
+    """
+    held, last, count = len(places), max(places, default=-1), len(predictions)
     whole = held != count > last and (count == listed or (last >= held and not listed))
-    return [predictions[place] for place in places] if whole else predictions, places
+    return [predictions[place] for place in places] if whole else predictions

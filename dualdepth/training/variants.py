@@ -17,6 +17,7 @@ from dualdepth.training.loop import Trainer
 from dualdepth.training.stages import Stage
 from dualdepth.training.weights import finished_card, load_card, load_weights
 
+BASES = {True: "ImageNet's weights", False: "random weights"}
 PATIENCE = 15.0
 """Seconds that a training waits for the one before it, which may have been told to stop, or be left behind by a killed chain."""
 
@@ -46,8 +47,8 @@ def train_variant(run: Run, name: str, seed: int) -> Path:
             return _mark(weights)
         settings, pretrained = getattr(profile.training, variant.stage), profile.training.pretrained
         if is_main_process():
-            base = {True: "ImageNet's weights", False: "random weights"}.get(pretrained, pretrained)
-            print(f"{name}, seed {seed}: {variant.label}, starting from", f"stage 1 ({variant.starts_from})" if start else base, flush=True)
+            base = f"after stage 1 ({variant.starts_from})" if start else f"starting from {BASES.get(pretrained, pretrained)}"
+            print(f"{name}, seed {seed}: {variant.label}, {base}", flush=True)
         trainer = Trainer(lambda: make_stage(run.profile, name, start), settings, profile, triplets, folder, seed=seed, recipe=recipe)
         before = load_card(start) if start else None
         card = {

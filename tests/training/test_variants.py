@@ -143,7 +143,7 @@ def test_each_kind_of_network_is_trained_as_said_before_and_read_back(trained, a
     if run is not trained:
         train_variant(run, name, 0)
         assert load_card(weights)["steps"] == 1
-        begins = {"hr_only": "HR-Net by itself, starting from stage 1 (lr)"}
+        begins = {"hr_only": "HR-Net by itself, after stage 1 (lr)"}
         begins["one_network"] = "one, starting from random weights"
         plan = f"{name}, seed 0: {begins[name]}\n1 steps in batches of 1, of 3 triplets, on {device_name()} in float32; "
         assert capsys.readouterr().out.startswith(plan)
