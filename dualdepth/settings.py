@@ -171,6 +171,16 @@ class StageSettings(Settings):
     """Ends the stage early; None trains all epochs."""
 
 
+class SecondStage(StageSettings):
+    """Stage 2, and what of it goes beyond the paper."""
+
+    beyond_paper_frozen_pose: bool = False
+    """Beyond the paper: PoseNet stays as stage 1 left it. Going on, it takes back what depth gains (docs/learning.md, "Stage 2")."""
+    beyond_paper_residual_heads: float = Field(0.0, ge=0.0)
+    """Beyond the paper: first weights of the heads of an HR-Net that adds to LR-Net's logits, as a share of Xavier's; at 0 it begins with
+    LR-Net's depth to the bit."""
+
+
 class Training(Settings):
     """Both stages and how they run."""
 
@@ -180,7 +190,7 @@ class Training(Settings):
     """ImageNet weights (paper) from the hub, its cache, or a package (efficientnet_lite0); or from a folder. False needs no network."""
     lr: StageSettings = StageSettings()
     """Stage 1: LR-Net and PoseNet."""
-    hr: StageSettings = StageSettings()
+    hr: SecondStage = SecondStage()
     """Stage 2: HR-Net and SA-Attention beside a frozen LR-Net; PoseNet goes on from stage 1."""
     augmentation: Augmentation = Augmentation()
     loss: Loss = Loss()

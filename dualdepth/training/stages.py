@@ -59,6 +59,12 @@ class Stage(nn.Module):
         self.hr_batch = training.augmentation.augment_first or not low
         """Whether batches have the HR size; frames that are shrunk before they are augmented have the LR size."""
 
+    def train(self, mode: bool = True) -> "Stage":
+        """Training mode for what learns; a frozen PoseNet keeps the statistics of stage 1."""
+        super().train(mode)
+        self.pose_net.train(mode and next(self.pose_net.parameters()).requires_grad)
+        return self
+
     def forward(self, batch: dict[str, Any], in_a_corridor: bool = False) -> StageOutput:
         """Losses of a batch with `images` (B, 3, 3, H, W) uint8, target first, and `intrinsics` (B, 3, 3).
 

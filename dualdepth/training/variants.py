@@ -4,6 +4,8 @@ import contextlib
 import json
 from pathlib import Path
 
+from torch import nn
+
 from dualdepth.data.odometry import drives_of
 from dualdepth.data.triplets import Triplet, load_triplets
 from dualdepth.device import is_main_process, keep_freed_memory, wait_for_everyone
@@ -117,7 +119,10 @@ def make_stage(profile: Profile, name: str, start: Path | None = None) -> Stage:
     stage = Stage(depth_net, pose_net, training, low=variant.network == "lr")
     if profile.architecture(name).residual:
         depth_net.floor.fill_(training.beyond_paper_residual_floor)
+        for head in depth_net.hr_net.decoder.heads:
+            nn.init.xavier_uniform_(head.weight, training.hr.beyond_paper_residual_heads)
     if start:
+        stage.pose_net.requires_grad_(not training.hr.beyond_paper_frozen_pose)
         load_weights(start, stage.pose_net, prefix="pose_net.")
         if variant.network == "dual":
             load_weights(start, stage.depth_net.lr_net, prefix="depth_net.")
