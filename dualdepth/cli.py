@@ -17,10 +17,7 @@ from dualdepth.run import ROOTS, Run, add_roots
 
 EXAMPLES = {
     "dualdepth": ["dualdepth predict photo.jpg --out depth", "dualdepth reproduce --profile tiny"],
-    "dualdepth evaluate": [
-        "dualdepth evaluate depth --pred disparities.npy --gt gt.npz --kind disparity",
-        "dualdepth evaluate odometry --pred 09.txt --gt poses/09.txt",
-    ],
+    "dualdepth evaluate": ["dualdepth evaluate depth --pred disparities.npy --gt gt.npz", "dualdepth evaluate odometry --help"],
     "dualdepth evaluate depth": ["dualdepth evaluate depth --pred disparities.npy --gt gt.npz --kind disparity --json scores.json"],
     "dualdepth evaluate odometry": ["dualdepth evaluate odometry --pred 09.txt --gt poses/09.txt --json scores.json"],
     "dualdepth reproduce": ["dualdepth reproduce --profile tiny", "dualdepth reproduce --profile paper --kitti-root /data/kitti_raw"],

@@ -31,8 +31,6 @@ class World(Settings):
     """Training drives, each in a street of its own."""
     frames_per_drive: int = Field(40, ge=3)
     """Frames of a training drive, consecutive."""
-    frame_spacing: float = Field(1.05, gt=0)
-    """Mean metres between raw frames, as KITTI at 40 km/h."""
     static_frames: int = Field(6, ge=0)
     """Length of the stretch in the first training drive where the camera stands still."""
     laser_train_frames: int = Field(5, ge=0)
@@ -43,8 +41,6 @@ class World(Settings):
     """Scored drives, each in a street of its own."""
     test_frames: int = Field(8, ge=1)
     """Scored frames a test drive; only they are rendered."""
-    test_step: int = Field(5, ge=1)
-    """Frames between scored frames, as far apart as in the field's list."""
     odometry_train: int = Field(1, ge=0, le=9)
     """Training sequences 00, 01, ..."""
     odometry_test: int = Field(2, ge=0, le=2)

@@ -14,6 +14,8 @@ from dualdepth.settings import World
 
 RAW, ODOMETRY, MAKE3D = range(3)  # Kinds of streets: part of their seeds, so that no two share a street.
 FIRST_TEST_DRIVE = 101
+SPACING = 1.05  # Mean metres between raw frames, as KITTI at 40 km/h.
+TEST_STEP = 5  # Frames between scored frames, as far apart as in the field's list.
 FIRST_TEST_SEQUENCE = 9
 BEND, ODOMETRY_BEND = (0.45, 180.0), (0.85, 210.0)
 """How much a street winds, in radians, and the length of a full left-right bend, in metres: of scored drives, of odometry sequences."""
@@ -58,10 +60,10 @@ def plan_world(world: World, root: Path) -> Work:
     return work
 
 
-def _raw_drive(world: World, seed: tuple[int, ...], frames: int, bend: tuple[float, float], still: tuple[int, int] = (0, 0)) -> Drive:
+def _raw_drive(seed: tuple[int, ...], frames: int, bend: tuple[float, float], still: tuple[int, int] = (0, 0)) -> Drive:
     """A drive of KITTI raw, of as many frames, with a stretch of `still` ones."""
-    plan = Plan(seed, 1.3 * frames * world.frame_spacing + 10, *bend, pace=world.frame_spacing / PERIOD)
-    return drive(plan, build_street(plan), world.frame_spacing, frames, still=still)
+    plan = Plan(seed, 1.3 * frames * SPACING + 10, *bend, pace=SPACING / PERIOD)
+    return drive(plan, build_street(plan), SPACING, frames, still=still)
 
 
 def _train_drive(work: Work, number: int) -> None:
@@ -71,7 +73,7 @@ def _train_drive(work: Work, number: int) -> None:
     folder = f"kitti_raw/{day}/{name}"
     still = (max(0, frames // 2 - world.static_frames // 2), world.static_frames) if number == 0 else (0, 0)
     scanned = set(np.linspace(0, frames - 1, world.laser_train_frames + 2)[1:-1].astype(int).tolist())
-    ride = _raw_drive(world, (world.train_seed, RAW, number), frames, TRAIN_BENDS[number % 2], still)
+    ride = _raw_drive((world.train_seed, RAW, number), frames, TRAIN_BENDS[number % 2], still)
     for k in range(frames):
         scan = work.root / folder / f"velodyne_points/data/{k:010d}.bin" if k in scanned else None
         work.shoot(ride, k, f"{folder}/image_02/data/{k:010d}.png", scan=scan)
@@ -84,8 +86,8 @@ def _test_drive(work: Work, number: int) -> None:
     day, world, root = formats.DATE, work.world, work.root
     name = f"{day}_drive_{FIRST_TEST_DRIVE + number:04d}_sync"
     folder = f"kitti_raw/{day}/{name}"
-    frames = [k * world.test_step for k in range(world.test_frames)]
-    ride = _raw_drive(world, (world.test_seed, RAW, number), frames[-1] + 1, BEND)
+    frames = [k * TEST_STEP for k in range(world.test_frames)]
+    ride = _raw_drive((world.test_seed, RAW, number), frames[-1] + 1, BEND)
     for k in frames:
         depth, labels = root / "dense_depth" / name / f"{k:010d}.npy", root / "labels" / name / f"{k:010d}.png"
         scan = root / folder / f"velodyne_points/data/{k:010d}.bin"

@@ -25,9 +25,7 @@ def over_seeds(frame: pd.DataFrame, metrics: Iterable[str] = METRICS) -> dict[st
     `<metric>_std` is the sample standard deviation over seeds, empty for one seed; `n` is the number of images.
     """
     of_seed = frame.groupby(level="seed")[list(metrics)].mean()
-    row = {}
-    for metric in of_seed:
-        row |= {metric: of_seed[metric].mean(), f"{metric}_std": of_seed[metric].std()}
+    row = {f"{metric}{end}": value for metric in of_seed for end, value in (("", of_seed[metric].mean()), ("_std", of_seed[metric].std()))}
     return row | {"n": frame.groupby(level="seed").size().min()}
 
 

@@ -77,11 +77,14 @@ def test_a_posenet_with_an_encoder_is_trained_and_read_back_and_another_is_no_st
     run = after_stage_1(train={"lr": None, "dual": with_encoder | {"training.hr.max_steps": 1}})
     with pytest.raises(InputError, match="pose_encoder None instead of 'efficientnet_lite0'"):
         train_variant(run, "dual", 0)
-    run = after_stage_1("both", train={"lr": with_encoder, "dual": with_encoder | {"training.hr.max_steps": 1}})
+    frozen = with_encoder | {"training.hr.max_steps": 1, "training.hr.beyond_paper_frozen_pose": True}
+    dual = with_encoder | {"training.hr.max_steps": 1}
+    run = after_stage_1("both", train={"lr": with_encoder, "dual": dual, "dual_no_sa": frozen})
     first = part(train_variant(run, "lr", 0), "pose_net.")
     assert equal(make_stage(run.profile, "dual", run.weights("lr", 0)).pose_net.state_dict(), first)
     net, size = load_pose_net(train_variant(run, "dual", 0))
     assert size == (192, 192) and equal(net.state_dict(), part(run.weights("dual", 0), "pose_net.")) and not equal(net.state_dict(), first)
+    assert equal(part(train_variant(run, "dual_no_sa", 0), "pose_net."), first)  # batch norm's statistics among them
 
 
 @pytest.mark.parametrize(("place", "given"), [(True, True), (False, False), ("some/folder", True)])
@@ -227,6 +230,7 @@ def test_a_residual_dual_network_gets_its_starting_scale_once_and_is_read_back(a
     changes = {
         "training.beyond_paper_residual": True,
         "training.beyond_paper_residual_floor": -8.5,
+        "training.hr.beyond_paper_residual_heads": 0.1,
         "training.hr.max_steps": 1,
         "training.beyond_paper_corridor_steps": 9,
     }  # of stage 1 alone
@@ -235,6 +239,9 @@ def test_a_residual_dual_network_gets_its_starting_scale_once_and_is_read_back(a
     assert begun == [(1, 3, 192, 192)]
     assert read_log(run.training("dual", 0) / "log.csv")["feature_spread"].min() > 0
     model = load(run.weights("dual", 0))
+    heads = make_stage(run.profile, "dual", run.weights("lr", 0)).depth_net.hr_net.decoder.heads
+    largest = [0.1 * (6 / (9 * (1 + head.in_channels))) ** 0.5 for head in heads]  # Xavier's, of 3×3 weights
+    assert all(0.9 * most < head.weight.abs().max() <= most and not head.bias.any() for head, most in zip(heads, largest))
     assert model.architecture.residual and model.depth_net.floor == -8.5 and load_card(run.weights("dual", 0))["residual"] is True
 
 
