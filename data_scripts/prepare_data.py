@@ -198,9 +198,7 @@ def check_separate(train: Iterable[str], test: Iterable[str], what: str, allow_l
 def main(argv: list[str] | None = None) -> None:
     """Run the command line."""
     parser = argparse.ArgumentParser(description="Find or make a profile's data and prepare them.")
-    parser.add_argument(
-        "--profile", default="miniature", help="tiny, miniature, claims, sample, paper, own, or a YAML file (default: %(default)s)"
-    )
+    parser.add_argument("--profile", default="miniature", help="such as tiny or paper, or a YAML file (default: %(default)s)")
     add_roots(parser)
     with exit_on_input_error():
         arguments = parser.parse_args(argv)

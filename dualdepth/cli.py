@@ -27,7 +27,7 @@ EXAMPLES = {
     "dualdepth export": ["dualdepth export --to onnx --weights work/miniature/runs/dual/seed0/model.safetensors --out depth.onnx"],
 }
 """What a `--help` ends with; `tests/test_docs.py` runs or parses each."""
-PROFILE = "tiny, miniature, claims, sample, paper, own, or a YAML file (default: %(default)s)"
+PROFILE = "tiny, miniature, claims, trials, sample, paper, beyond, own, or a YAML file (default: %(default)s)"
 
 
 class OneLineParser(argparse.ArgumentParser):

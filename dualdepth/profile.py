@@ -138,7 +138,7 @@ def standard_variants() -> dict[str, Variant]:
 
 
 def load_profile(name: str) -> Profile:
-    """Read and validate a profile: `tiny`, `miniature`, `claims`, `sample`, `paper`, `own`, or a YAML file, by whose stem the run is named.
+    """Read and validate a profile: one that comes with the package, such as `tiny`, or a YAML file, by whose stem the run is named.
 
     Raises:
         InputError: no such profile, no valid YAML, or a bad key or value; the message names the file and the nearest known key.
