@@ -116,8 +116,8 @@ def examine(footages: Sequence[Footage], focal: float, stride: int | None = None
     Raises:
         InputError: a frame cannot be read, or is of another size.
     """
-    frames = measured(footages, focal, stride or 1)
-    if stride is None:
+    frames, given = measured(footages, focal, stride or 1), stride is not None
+    if not given:
         flows = frames.flow[(frames.agrees >= SAME_PLACE) & (frames.flow > NOISE)]
         stride = int(np.clip(AIM / flows.median(), 1, MOST_STRIDE)) if len(flows) else 1
         frames = measured(footages, focal, stride) if stride > 1 else frames
@@ -125,7 +125,7 @@ def examine(footages: Sequence[Footage], focal: float, stride: int | None = None
     medians = frames[frames.link == "moves"][list(Motion._fields)].median()
     medians["agrees"] = frames.agrees[frames.link.isin(["moves", "cut"])].median()
     medians = medians.fillna(0.0).round(4).to_dict()
-    return Film(stride, drives, counts, medians, checks(counts, medians, stride))
+    return Film(stride, drives, counts, medians, checks(counts, medians, stride, given))
 
 
 def measured(footages: Sequence[Footage], focal: float, stride: int) -> pd.DataFrame:
@@ -158,10 +158,10 @@ def cut_at_breaks(frames: pd.DataFrame) -> tuple[list[Drive], dict[str, int]]:
     return drives, counts | {name: int((frames.link == link).sum()) for name, link in LINKS.items()}
 
 
-def checks(counts: dict[str, int], medians: dict[str, float], stride: int) -> dict[str, str]:
-    """`Film.checks`."""
+def checks(counts: dict[str, int], medians: dict[str, float], stride: int, given: bool) -> dict[str, str]:
+    """`Film.checks`; `given` says whether the user chose the stride."""
     flow, agrees, travels, found = medians["flow"], medians["agrees"], medians["travels"], {}
-    slower = f"lower --stride {stride}, " if stride > 1 else ""
+    slower = f"lower --stride {stride}, " if given and stride > 1 else ""
     closer = f"{slower}take every frame of the video, film at more frames a second, or drive slower"
     if pairs := sum(counts[name] for name in LINKS):
         said = f"the camera stands still in {counts['still']} of {pairs} pairs of neighbours: film while driving"
@@ -170,7 +170,7 @@ def checks(counts: dict[str, int], medians: dict[str, float], stride: int) -> di
         said = f"{jumps:.0%} of the neighbours do not show the same place, and {agrees:.0%} of a median frame is found again in the next"
         found["consecutive"] = jumps > MOST_CUTS or agrees < CLOSE, f"{said}: {closer}"
         said = f"the picture moves by {flow:.2%} of its width from frame to frame, {USEFUL[0]:.1%} to {USEFUL[1]:.1%} is needed"
-        mend = closer if flow > USEFUL[1] else "leave --stride out, drive faster, or film what is nearer"
+        mend = closer if flow > USEFUL[1] else f"{'leave --stride out, ' * given}drive faster, or film what is nearer"
         found["speed"] = not USEFUL[0] <= flow <= USEFUL[1], f"{said}: {mend}"
         said = f"only {travels:.0%} of the motion is more than turning: drive or walk, do not pan, since a turn says nothing of depth"
         found["travels"] = travels < TRAVELS, said

@@ -81,9 +81,10 @@ def test_a_film_of_too_many_frames_a_second_gets_a_stride_that_makes_up_for_it(f
         (lambda k: frame(40 * (k % 2), seed=k % 3), 32, None, "consecutive", "take every frame of the video"),
         (lambda k: turning(0.012 * k), 32, None, "travels", "do not pan"),
         (lambda k: frame(k, speed=0.2), 32, 1, "speed", "leave --stride out"),
+        (lambda k: frame(k, speed=0.2), 40, None, "frames", "needed: film longer"),  # a stride that nobody gave is not to be lowered
         (frame, 10, None, "frames", "film longer"),
     ],
-    ids=["standing", "jumping", "turning", "slow", "short"],
+    ids=["standing", "jumping", "turning", "slow", "slow, no stride given", "short"],
 )
 def test_what_nothing_can_be_learned_of_is_refused_with_what_to_do(film_of, frames, count, stride, check, mend):
     assert mend in film_of([frames(k) for k in range(count)], stride=stride).checks[check]
@@ -91,7 +92,7 @@ def test_what_nothing_can_be_learned_of_is_refused_with_what_to_do(film_of, fram
 
 def test_a_film_too_fast_is_refused_and_nothing_at_all_has_no_drives():
     table = pd.DataFrame({"footage": 0, "number": range(40), "link": ["first"] + 39 * ["moves"]})
-    found = checks(cut_at_breaks(table)[1], {"flow": 0.04, "agrees": 0.9, "travels": 0.9}, stride=2)
+    found = checks(cut_at_breaks(table)[1], {"flow": 0.04, "agrees": 0.9, "travels": 0.9}, stride=2, given=True)
     assert [name for name in found if found[name]] == ["speed"] and "lower --stride 2" in found["speed"]
     assert cut_at_breaks(table[:0])[0] == []
 
