@@ -82,12 +82,11 @@ class DepthModel(nn.Module, ModelHubMixin):
     @property
     def about(self) -> str:
         """That depth is relative, what it was learned from, what not to expect of it, and its licence, in one line."""
-        learned = self.card.get("about")
-        learned = f"Learned by {learned}." if learned else "The card does not say what these weights were learned from."
-        start = " The encoder began with ImageNet weights." if self.card.get("pretrained") else ""
-        more = [self.card["limits"]] if self.card.get("limits") else []
-        more += [f"Licence of the weights: {self.card['licence']}."] if self.card.get("licence") else []
-        return " ".join([f"Depth is relative: its unit is unknown. {learned}{start}", *more])
+        card = self.card
+        learned = f"Learned by {card['about']}." if card.get("about") else "The card does not say what these weights were learned from."
+        started = "The encoder began with ImageNet weights." if card.get("pretrained") else ""
+        licence = f"Licence of the weights: {card['licence']}." if card.get("licence") else ""
+        return " ".join(filter(None, ["Depth is relative: its unit is unknown.", learned, started, card.get("limits"), licence]))
 
     def __repr__(self) -> str:
         return f"DepthModel({self.architecture.network}, {self.size[1]}×{self.size[0]}, {self.device}, {self.precision}): {self.about}"
