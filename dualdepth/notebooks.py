@@ -55,11 +55,7 @@ def run_chain(profile: str, roots: Mapping[str, str], seeds: str, allow_leak: bo
 
 
 def parse_parameters(pairs: Sequence[str]) -> dict[str, int | str]:
-    """Parameters of `KEY=VALUE` words: whole numbers as such, all else as text, which nothing evaluates.
-
-    Raises:
-        InputError: a word without `=`.
-    """
+    """Parameters of `KEY=VALUE` words, else an `InputError`: whole numbers as such, all else as text, which nothing evaluates."""
     if wrong := [pair for pair in pairs if "=" not in pair]:
         raise InputError(f"parameter {wrong[0]!r} is not KEY=VALUE")
     words = dict(pair.split("=", 1) for pair in pairs)

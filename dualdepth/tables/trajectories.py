@@ -114,11 +114,7 @@ def control_poses(run: Run, name: str, truth: Trajectory) -> np.ndarray:
 
 
 def known_sequences(run: Run) -> list[str]:
-    """Training sequences whose true poses are there.
-
-    Raises:
-        InputError: none has them.
-    """
+    """Training sequences whose true poses are there; an `InputError` if none has them."""
     root, (train, _) = Sources.load(run).odometry_root, run.profile.odometry_sequences()
     known = [sequence_of(entry)[0] for entry in train if poses_path(root, entry).is_file()]
     if not known:
