@@ -154,8 +154,7 @@ def _add_export(place: Any) -> None:
 
 def _add_choice(parser: argparse.ArgumentParser, option: str, choices: tuple[str | int, ...], meaning: str) -> None:
     """Add an option whose first choice is the default."""
-    settings = {"type": type(choices[0]), "choices": choices, "default": choices[0]}
-    parser.add_argument(option, help=f"{meaning} (default: %(default)s)", **settings)
+    parser.add_argument(option, type=type(choices[0]), choices=choices, default=choices[0], help=f"{meaning} (default: %(default)s)")
 
 
 def _add_json_and_guard(parser: argparse.ArgumentParser, frames: str, metavar: str, meaning: str) -> None:

@@ -60,10 +60,11 @@ def exit_on_input_error() -> Iterator[None]:
             yield
         finally:
             sys.stdout.flush()
-    except InputError as error:
-        message = " ".join(str(error).split())
-    except PermissionError as error:
-        message = f"{error.filename}: {error.strerror}; change its permissions, or give another place"
+    except (InputError, PermissionError) as error:
+        denied = isinstance(error, PermissionError)
+        said = f"{error.filename}: {error.strerror}; change its permissions, or give another place" if denied else str(error)
+        print(f"error: {' '.join(said.split())}", file=sys.stderr)
+        raise SystemExit(2) from None
     except KeyboardInterrupt:
         print("stopped; the same command goes on where it was", file=sys.stderr)
         raise SystemExit(130) from None
@@ -73,7 +74,3 @@ def exit_on_input_error() -> Iterator[None]:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # so that Python, at its end, finds nothing to complain of
         said = f"error: what is printed cannot be written ({error.strerror}); free space"
         raise SystemExit(said if error.errno == errno.ENOSPC else 141) from None
-    else:
-        return
-    print(f"error: {message}", file=sys.stderr)
-    raise SystemExit(2)

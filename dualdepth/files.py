@@ -49,11 +49,7 @@ def remove_leftovers(folder: str | Path, below: bool = True) -> None:
 
 
 def check_writable(folder: str | Path) -> None:
-    """Make sure that files can be written into `folder`, which is made if it is not there.
-
-    Raises:
-        InputError: they cannot, and why.
-    """
+    """Make sure that files can be written into `folder`, which is made if it is not there; an `InputError` says why they cannot."""
     try:
         Path(folder).mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()

@@ -82,12 +82,11 @@ class DepthModel(nn.Module, ModelHubMixin):
     @property
     def about(self) -> str:
         """That depth is relative, what it was learned from, what not to expect of it, and its licence, in one line."""
-        learned = self.card.get("about")
-        learned = f"Learned by {learned}." if learned else "The card does not say what these weights were learned from."
-        start = " The encoder began with ImageNet weights." if self.card.get("pretrained") else ""
-        more = [self.card["limits"]] if self.card.get("limits") else []
-        more += [f"Licence of the weights: {self.card['licence']}."] if self.card.get("licence") else []
-        return " ".join([f"Depth is relative: its unit is unknown. {learned}{start}", *more])
+        card = self.card
+        learned = f"Learned by {card['about']}." if card.get("about") else "The card does not say what these weights were learned from."
+        started = "The encoder began with ImageNet weights." if card.get("pretrained") else ""
+        licence = f"Licence of the weights: {card['licence']}." if card.get("licence") else ""
+        return " ".join(filter(None, ["Depth is relative: its unit is unknown.", learned, started, card.get("limits"), licence]))
 
     def __repr__(self) -> str:
         return f"DepthModel({self.architecture.network}, {self.size[1]}×{self.size[0]}, {self.device}, {self.precision}): {self.about}"
@@ -124,8 +123,7 @@ class DepthModel(nn.Module, ModelHubMixin):
         """Disparities of many images at the network's own size, with a progress bar; what the tables score.
 
         Args:
-            images: files or arrays, as of `predict`.
-            batch_size: images computed together.
+            images: files or arrays, as of `predict`; `batch_size` of them are computed together.
             read: gives (H, W, 3) uint8 RGB of a file.
 
         Returns:
@@ -157,12 +155,8 @@ class DepthModel(nn.Module, ModelHubMixin):
             weights: a `.safetensors` file with its card beside it (`<name>.json`, or `config.json`), as
                 `work/<profile>/runs/<variant>/seed<n>/model.safetensors`; the folder of one; or a name on the model hub, `owner/name`;
                 left out, those that come with the package.
-            device: such as `cpu`, `cuda`, `cuda:1`, `mps`; None takes a GPU where there is one.
-            precision: `float32` or `bf16`; None takes bf16 on a CUDA GPU that has it, else float32.
+            device, precision: as of `DepthModel`.
             hub: options of `huggingface_hub.snapshot_download`, such as `revision`, `cache_dir`, `token`, `local_files_only`.
-
-        Returns:
-            The model; `predict(image)` gives (H, W) float32 relative depth, `about` says what it was learned from.
 
         Raises:
             InputError: the weights or their card are missing, damaged, changed (sha256) or of another network, or the device or precision

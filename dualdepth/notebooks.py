@@ -22,10 +22,8 @@ def run_chain(profile: str, roots: Mapping[str, str], seeds: str, allow_leak: bo
     """Become Snakemake, which runs a profile's notebooks under a lock, so that two runs cannot mix; a dry run needs none.
 
     Args:
-        profile: its name or file.
         roots: folders and files that a user gives, by the names of `run.ROOTS`.
         seeds: such as `0,1,2`; empty for the profile's.
-        allow_leak: score even drives that were trained on.
         cores, options: for Snakemake.
 
     Raises:
@@ -57,18 +55,11 @@ def run_chain(profile: str, roots: Mapping[str, str], seeds: str, allow_leak: bo
 
 
 def parse_parameters(pairs: Sequence[str]) -> dict[str, int | str]:
-    """Parameters of `KEY=VALUE` words: whole numbers as such, all else as text, which nothing evaluates.
-
-    Raises:
-        InputError: a word without `=`.
-    """
-    parameters: dict[str, int | str] = {}
-    for pair in pairs:
-        key, equals, value = pair.partition("=")
-        if not equals:
-            raise InputError(f"parameter {pair!r} is not KEY=VALUE")
-        parameters[key] = int(value) if re.fullmatch("-?[0-9]{1,18}", value) else value
-    return parameters
+    """Parameters of `KEY=VALUE` words, else an `InputError`: whole numbers as such, all else as text, which nothing evaluates."""
+    if wrong := [pair for pair in pairs if "=" not in pair]:
+        raise InputError(f"parameter {wrong[0]!r} is not KEY=VALUE")
+    words = dict(pair.split("=", 1) for pair in pairs)
+    return {key: int(value) if re.fullmatch("-?[0-9]{1,18}", value) else value for key, value in words.items()}
 
 
 def run_notebook(name: str, out: str | Path, parameters: dict[str, Any]) -> Path:

@@ -61,11 +61,7 @@ class Profile(Settings):
         return self
 
     def variant(self, name: str) -> Variant:
-        """A variant by name, one of the profile's own or a standard one.
-
-        Raises:
-            InputError: there is none; the message names the nearest.
-        """
+        """A variant by name, one of the profile's own or a standard one; an `InputError` that names the nearest where there is none."""
         known = standard_variants() | self.variants
         if name not in known:
             near = difflib.get_close_matches(name, known, n=1, cutoff=0.0)[0]

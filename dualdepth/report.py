@@ -76,9 +76,8 @@ def make_report(run: Run) -> Report:
     stamps = [path for path in sorted(folder.glob("*.json")) if not path.stem.startswith("report_")]
     stamps += [path.with_suffix(".json") for path in figures.values()]
     more = {name: read[name] for name in ("odometry_trajectories", "odometry_motions", "odometry_claims") if name in read}
-    chosen = assumptions(run.profile.training.loss)
     said, provenance = headline(tables["main"]), pd.DataFrame([_provenance(run, path) for path in stamps])
-    return Report(run, said, caution, claims, numbers, tables, more, provenance, figures, chosen)
+    return Report(run, said, caution, claims, numbers, tables, more, provenance, figures, assumptions(run.profile.training.loss))
 
 
 def headline(main: pd.DataFrame) -> str:

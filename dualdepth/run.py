@@ -50,11 +50,7 @@ def add_roots(parser: argparse.ArgumentParser) -> None:
 
 
 def check_roots(given: Mapping[str, str]) -> None:
-    """Make sure that the folders and files that a user gives, by the names of `ROOTS`, are what they should be.
-
-    Raises:
-        InputError: one is not.
-    """
+    """Make sure that the folders and files that a user gives, by the names of `ROOTS`, are what they should be; else an `InputError`."""
     from dualdepth.data.kitti import check_root, read_frame_list
     from dualdepth.data.label_maps import check_labels_root
     from dualdepth.data.make3d import find_pairs
@@ -67,22 +63,14 @@ def check_roots(given: Mapping[str, str]) -> None:
 
 
 def parse_seeds(text: str) -> list[int]:
-    """Seeds of `0,1,2`; none of an empty text.
-
-    Raises:
-        InputError: something else than whole numbers from 0 up between commas.
-    """
+    """Seeds of `0,1,2`; none of an empty text; an `InputError` for all but whole numbers from 0 up between commas."""
     if text and not re.fullmatch(r"\s*[0-9]{1,18}\s*(,\s*[0-9]{1,18}\s*)*", text):
         raise InputError(f"seeds {text!r}: give whole numbers from 0 up between commas, such as 0,1,2")
     return [int(part) for part in text.split(",") if text]
 
 
 def project_root() -> Path:
-    """The checkout: the nearest folder, from here upwards, that holds both `notebooks/` and `Snakefile`.
-
-    Raises:
-        InputError: there is none.
-    """
+    """The checkout: the nearest folder, from here upwards, that holds both `notebooks/` and `Snakefile`; an `InputError` without one."""
     here = Path.cwd()
     for folder in (here, *here.parents):
         if (folder / "notebooks").is_dir() and (folder / "Snakefile").is_file():

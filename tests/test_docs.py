@@ -29,7 +29,7 @@ from small_nets import with_heads
 
 from dualdepth.data.odometry import write_trajectory
 from dualdepth.model import DepthModel
-from dualdepth.profile import Profile, load_profile
+from dualdepth.profile import Profile, _laid_over, _settings, load_profile
 from dualdepth.training.loop import total_steps
 from tools import settings_page
 
@@ -154,18 +154,9 @@ def test_links_lead_to_files_and_headings_and_files_that_are_named_exist(page):
         assert not anchor or anchor in anchors(target), f"{page.name} links to #{anchor} of {target.name}, which has no such heading"
 
 
-def setting_names(model=Profile, prefix=""):
-    """Dotted names of all settings of a profile."""
-    for name, field in model.model_fields.items():
-        yield f"{prefix}{name}"
-        for kind in (field.annotation, *getattr(field.annotation, "__args__", ())):
-            if hasattr(kind, "model_fields"):
-                yield from setting_names(kind, f"{prefix}{name}.")
-
-
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_settings_that_are_named_exist(page):
-    settings = set(setting_names())
+    settings = set(_settings(Profile, []))
     leaves = {name.rpartition(".")[2] for name in settings} | {"extends"}
     for code in inline_code(page):
         name, colon, _ = code.partition(": ")
@@ -187,13 +178,9 @@ def test_the_page_of_settings_is_current_and_that_on_the_method_names_functions_
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_pieces_of_profiles_are_valid(page):
     """A fence of YAML is part of a profile: with the rest of `paper` it is one."""
-
-    def merged(base, change):
-        return base | {k: merged(base[k], v) if isinstance(base.get(k), dict) and k != "train" else v for k, v in change.items()}
-
     for language, content in fences(page):
         if language == "yaml":
-            values = merged(load_profile("paper").model_dump(), yaml.safe_load(content))
+            values = _laid_over(load_profile("paper").model_dump(), yaml.safe_load(content))
             profile = Profile.model_validate(values)
             for name in profile.train:
                 profile.of_variant(name)

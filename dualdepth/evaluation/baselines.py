@@ -6,10 +6,10 @@ mixed and a frame's own drive can be left out by subtraction.
 
 from collections.abc import Iterable, Sequence
 
-import cv2
 import numpy as np
 
 from dualdepth.errors import InputError
+from dualdepth.evaluation.depth import resize_bilinear
 
 GRID = (47, 156)  # Cells of about 8 × 8 KITTI pixels: sparse scans of few frames fill them; from 4 to 32 pixels the scores hardly change.
 
@@ -32,7 +32,7 @@ def depth_sums(maps: Iterable[np.ndarray], *, grid: tuple[int, int] = GRID, max_
 
 
 def mean_depth(sums: np.ndarray, baseline: str) -> np.ndarray:
-    """A baseline's depth on the grid: (1, 1), (h, 1) or (h, w) float32, metres, all positive.
+    """A baseline's depth on the grid: (1, 1), (h, 1) or (h, w) float32, metres, all positive; `resize_bilinear` makes it an image's.
 
     It is the mean over everything; over each row of the grid, a row without a measurement taking the nearest row that has one; or over
     each cell, a cell without one taking its row's mean (`constant`, `row_mean`, `mean_map`).
@@ -53,11 +53,6 @@ def mean_depth(sums: np.ndarray, baseline: str) -> np.ndarray:
     return np.where(count > 0, total / np.maximum(count, 1), row_mean).astype(np.float32)
 
 
-def predict(sums: np.ndarray, baseline: str, size: tuple[int, int]) -> np.ndarray:
-    """A baseline's prediction (H, W) for any image of `size` = (H, W), in metres, float32: the grid's means, enlarged bilinearly."""
-    return cv2.resize(mean_depth(sums, baseline), size[::-1], interpolation=cv2.INTER_LINEAR)
-
-
 def leave_one_drive_out(maps: Sequence[np.ndarray], drives: Sequence[str], baseline: str, *, max_depth: float) -> list[np.ndarray]:
     """Predict each map from the maps of all the other drives, where there are no separate training frames.
 
@@ -67,5 +62,5 @@ def leave_one_drive_out(maps: Sequence[np.ndarray], drives: Sequence[str], basel
     of_drive = {d: depth_sums((m for m, its in zip(maps, drives) if its == d), max_depth=max_depth) for d in dict.fromkeys(drives)}
     others = {drive: sum(of_drive.values()) - sums for drive, sums in of_drive.items()}
     wanted = [(drive, depth.shape) for drive, depth in zip(drives, maps)]
-    predictions = {(drive, size): predict(others[drive], baseline, size) for drive, size in set(wanted)}
+    predictions = {(drive, size): resize_bilinear(mean_depth(others[drive], baseline), size) for drive, size in set(wanted)}
     return [predictions[key] for key in wanted]

@@ -30,12 +30,7 @@ def export_onnx(weights: str | Path, out: str | Path, frames: Sequence[str | Pat
     It takes the image itself, so that nobody has to average it for LR-Net; what does not shape the finest disparity, such as the decoder
     of a dual network's LR-Net, is not part of it.
 
-    Args:
-        weights, out: as `dualdepth.load` takes them, and the file, `….onnx`.
-        frames: image files to compare on; without any, three made-up images are.
-
-    Returns:
-        What was written and how near to PyTorch it is, in two lines.
+    It is compared on `frames`, or on three made-up images; what was written and how near to PyTorch it is comes back, in two lines.
 
     Raises:
         InputError: a package is missing; the weights, their card or a frame cannot be read; nothing can be written at `out`; the

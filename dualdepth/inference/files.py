@@ -41,15 +41,8 @@ def predict_files(
 ) -> bool:
     """Write what is predicted of files into a folder, say what comes of it, and keep results that are newer than what they are made of.
 
-    Args:
-        paths: of the inputs, from `find_inputs`.
-        out: folder of the results; `STAMP` in it says what is what.
-        model, style: that predicts, and what results say.
-        kinds: keys of `SUFFIXES`; none takes colour and depth of an image, side of a video.
-        batch_size, overwrite: images computed together, None chooses; and whether what is there is made again.
-
-    Returns:
-        Whether all inputs could be read, and to their end; the others are named on stderr.
+    The inputs are from `find_inputs`; `kinds` are keys of `SUFFIXES`, none takes colour and depth of an image, side of a video. Says
+    whether all inputs could be read, and to their end; the others are named on stderr.
 
     Raises:
         InputError: results cannot be written, another process writes there, or the network gives no numbers.

@@ -10,7 +10,7 @@ from torch import nn
 
 from dualdepth import paper
 from dualdepth.device import default_device, device_name, has_bf16
-from dualdepth.evaluation.cost import count, latency
+from dualdepth.evaluation.cost import Latency, count, latency
 from dualdepth.networks.architecture import Architecture
 from dualdepth.run import Run
 from dualdepth.tables.rows import MEASURED, method_row, not_run, with_paper
@@ -44,10 +44,9 @@ def cost_row(name: str, repeats: int) -> dict[str, Any]:
     net, image = net.to(where, memory_format=torch.channels_last), image.to(where)
     row: dict[str, Any] = {"params_m": cost.params / 1e6, "gmacs": cost.macs / 1e9, "device": device_name()}
     for precision, suffix in (("float32", ""), ("bf16", "_bf16")):
-        row |= {f"latency_ms{suffix}": math.nan, f"peak_mb{suffix}": math.nan}
-        if precision == "float32" or has_bf16(where):
-            measured = latency(net, image, repeats=repeats, precision=precision, **options)
-            row |= {f"latency_ms{suffix}": measured.median_ms, f"peak_mb{suffix}": measured.peak_mb}
+        there = precision == "float32" or has_bf16(where)
+        found = latency(net, image, repeats=repeats, precision=precision, **options) if there else Latency(math.nan, math.nan)
+        row |= {f"latency_ms{suffix}": found.median_ms, f"peak_mb{suffix}": found.peak_mb}
     return row
 
 

@@ -7,7 +7,7 @@ import pandas as pd
 
 from dualdepth.data.depth_maps import load_ground_truth
 from dualdepth.evaluation import baselines
-from dualdepth.evaluation.depth import evaluate
+from dualdepth.evaluation.depth import evaluate, resize_bilinear
 from dualdepth.run import Run
 from dualdepth.tables.rows import method_row, with_paper
 from dualdepth.tables.scores import NO_TRUTH, SEEDLESS, Scores, collect, scored, untrained_net
@@ -42,8 +42,8 @@ def baseline_depths(run: Run, name: str) -> tuple[Sequence[np.ndarray] | None, s
     frames, fitted = scored(run), run.prepared / "baseline_truth.npz"
     farthest = run.profile.evaluation.max_depth
     if fitted.exists():
-        sums = baselines.depth_sums(load_ground_truth(fitted), max_depth=farthest)
-        return [baselines.predict(sums, name, depth.shape) for depth in frames.truth], "fitted on training-side laser frames"
+        mean = baselines.mean_depth(baselines.depth_sums(load_ground_truth(fitted), max_depth=farthest), name)
+        return [resize_bilinear(mean, depth.shape) for depth in frames.truth], "fitted on training-side laser frames"
     if len(frames.drives) < 2:
         return None, "no training-side laser frames, and the scored frames are of one drive"
     drives = [frame.drive for frame in frames.frames]

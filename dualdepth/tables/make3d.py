@@ -1,6 +1,5 @@
 """Make3D: the trained networks, not fine-tuned, on upright photos of another camera in other places."""
 
-import hashlib
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
@@ -16,7 +15,7 @@ from dualdepth.errors import InputError
 from dualdepth.evaluation.baselines import depth_sums, mean_depth
 from dualdepth.evaluation.depth import resize_bilinear
 from dualdepth.evaluation.make3d import CONVENTIONS, FARTHEST, METRICS, ROWS, evaluate_make3d, visible
-from dualdepth.files import file_digest
+from dualdepth.files import file_digest, short_digest
 from dualdepth.model import DepthModel
 from dualdepth.run import Run, Sources
 from dualdepth.tables.rows import method_row, with_paper
@@ -57,7 +56,7 @@ def _read(pairs: tuple[PhotoGrid, ...]) -> Photos:
         shown = ", ".join(truncated[:3]) + (f" and {len(truncated) - 3} more" if len(truncated) > 3 else "")
         raise InputError(f"{pairs[0].photo.parent}: {shown} are truncated; one photo is published so, copy the others again")
     digests = [(pair.name, file_digest(pair.photo), file_digest(pair.grid)) for pair in pairs]
-    return Photos(pairs, grids, truncated, hashlib.sha256(str(digests).encode()).hexdigest())
+    return Photos(pairs, grids, truncated, short_digest(str(digests)))
 
 
 def predict_photos(model: DepthModel, pairs: Sequence[PhotoGrid], convention: str) -> np.ndarray:

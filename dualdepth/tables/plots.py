@@ -120,11 +120,8 @@ def image_grid(images: Sequence[np.ndarray], titles: Sequence[str], columns: int
     """Images (H, W, 3) in rows of `columns`."""
     rows = -(-len(images) // columns)
     figure = Picture(figsize=(13, 1.6 * rows), layout="constrained")
-    cells = figure.subplots(rows, columns, squeeze=False).flat
-    for axes in cells:
-        axes.set_axis_off()
-    for axes, image, title in zip(figure.axes, images, titles):
-        show_image(axes, image, title)
+    for place, (image, title) in enumerate(zip(images, titles), 1):
+        show_image(figure.add_subplot(rows, columns, place), image, title)
     return figure
 
 

@@ -9,8 +9,7 @@ import pandas as pd
 from dualdepth.data.odometry import Trajectory, drives_of, frame_files, poses_path, read_trajectory, sequence_of, write_trajectory
 from dualdepth.device import default_device
 from dualdepth.errors import InputError
-from dualdepth.evaluation import odometry
-from dualdepth.evaluation.odometry import ALIGNMENTS, snippet_errors, snippets, trajectory_errors
+from dualdepth.evaluation.odometry import ALIGNMENTS, constant_velocity, inverted, mean_step, snippet_errors, snippets, trajectory_errors
 from dualdepth.model import load_pose_net, predict_poses
 from dualdepth.run import Run, Sources
 from dualdepth.tables.scores import Trained
@@ -96,7 +95,7 @@ def follow_control(run: Run, name: str, entry: str) -> pd.DataFrame:
     """Scores of one of `CONTROLS` on a test sequence, as of `follow`."""
     truth = true_trajectory(run, entry)
     # the field stores snippets, each in its first frame's axes: there the mistake is made
-    cut = {length: odometry.inverted(snippets(truth.poses, length)) for length in LENGTHS} if name == "inverted" else {}
+    cut = {length: inverted(snippets(truth.poses, length)) for length in LENGTHS} if name == "inverted" else {}
     return _score(entry, truth, control_poses(run, name, truth), cut)
 
 
@@ -107,19 +106,15 @@ def control_poses(run: Run, name: str, truth: Trajectory) -> np.ndarray:
         InputError: no training sequence has true poses, from which the constant velocity is taken.
     """
     if name == "straight":
-        return odometry.constant_velocity(len(truth.frames), np.array([0.0, 0.0, 1.0]))
+        return constant_velocity(len(truth.frames), np.array([0.0, 0.0, 1.0]))
     if name == "inverted":
-        return odometry.inverted(truth.poses)
+        return inverted(truth.poses)
     known = [read_trajectory(poses_path(Sources.load(run).odometry_root, entry)).poses for entry in known_sequences(run)]
-    return odometry.constant_velocity(len(truth.frames), odometry.mean_step(known))
+    return constant_velocity(len(truth.frames), mean_step(known))
 
 
 def known_sequences(run: Run) -> list[str]:
-    """Training sequences whose true poses are there.
-
-    Raises:
-        InputError: none has them.
-    """
+    """Training sequences whose true poses are there; an `InputError` if none has them."""
     root, (train, _) = Sources.load(run).odometry_root, run.profile.odometry_sequences()
     known = [sequence_of(entry)[0] for entry in train if poses_path(root, entry).is_file()]
     if not known:

@@ -8,17 +8,8 @@ import PIL.Image
 import pytest
 from small_kitti import DRIVE, wall, write_calibration
 
-from dualdepth.data.kitti import (
-    Frame,
-    calibration_entry,
-    check_root,
-    intrinsics,
-    read_calibration,
-    read_frame_list,
-    read_image,
-    read_static_frames,
-    read_test_scenes,
-)
+from dualdepth.data import kitti
+from dualdepth.data.kitti import Frame, intrinsics, read_calibration, read_frame_list, read_image, read_static_frames, read_test_scenes
 from dualdepth.errors import InputError
 
 
@@ -117,7 +108,7 @@ def test_a_calibration_entry_keeps_its_numbers_and_rows_of_a_file_without_names_
     path = tmp_path / "calib.txt"
     path.write_text("4 5\nT: 1.5e-01 -2 3\n\n6 7\nR: a b\n")
     values = read_calibration(path)
-    assert values.keys() == {"T"} and calibration_entry(values, "T", 3, path).tolist() == [0.15, -2, 3]
+    assert values.keys() == {"T"} and kitti.calibration_entry(values, "T", 3, path).tolist() == [0.15, -2, 3]
     path.write_text("\n4 5\n6 7\n")
     assert {key: row.tolist() for key, row in read_calibration(path).items()} == {"P0": [4, 5], "P1": [6, 7]}
 
@@ -125,6 +116,6 @@ def test_a_calibration_entry_keeps_its_numbers_and_rows_of_a_file_without_names_
 def test_a_root_must_hold_date_folders(tmp_path):
     for root in (tmp_path / "nowhere", tmp_path):
         with pytest.raises(InputError, match=rf"KITTI_ROOT {root}: holds no 20\S+/calib_cam_to_cam\.txt; give"):
-            check_root(root)
+            kitti.check_root(root)
     write_calibration(tmp_path)
-    assert check_root(str(tmp_path)) == tmp_path
+    assert kitti.check_root(str(tmp_path)) == tmp_path

@@ -7,17 +7,7 @@ from small_kitti import write_sequence
 
 from data_scripts.sources import drive_archives
 from dualdepth.data import odometry
-from dualdepth.data.odometry import (
-    Trajectory,
-    drives_of,
-    frame_files,
-    odometry_triplets,
-    pair_frames,
-    poses_path,
-    read_trajectory,
-    sequence_intrinsics,
-    write_trajectory,
-)
+from dualdepth.data.odometry import Trajectory, odometry_triplets, pair_frames, read_trajectory, sequence_intrinsics, write_trajectory
 from dualdepth.data.triplets import load_triplets, write_triplets
 from dualdepth.errors import InputError
 
@@ -64,17 +54,17 @@ def test_the_camera_is_read_from_either_kind_of_calibration(root, entry, file):
 
 def test_what_is_not_there_is_named_with_the_mend(root):
     with pytest.raises(InputError, match="sequences/03/image_2: no images; download the sequence first"):
-        frame_files(root, "03")
+        odometry.frame_files(root, "03")
     with pytest.raises(InputError, match="no images; there is image_0, say `06:image_0`"):
-        frame_files(root, "06")
+        odometry.frame_files(root, "06")
 
 
 def test_sequences_are_raw_drives_of_kitti_and_streets_of_the_world():
-    assert drives_of(["09", "06:image_0"], world=False) == [
+    assert odometry.drives_of(["09", "06:image_0"], world=False) == [
         "2011_09_30/2011_09_30_drive_0020_sync",
         "2011_09_30/2011_09_30_drive_0033_sync",
     ]
-    assert drives_of(["09"], world=True) == ["odometry/09"]
+    assert odometry.drives_of(["09"], world=True) == ["odometry/09"]
     drive_archives(list(odometry.RAW_DRIVES.values()))  # all of them names of raw drives
 
 
@@ -95,7 +85,7 @@ def test_real_sequences_are_read_by_what_their_folder_holds(real):
     for entry in entries:
         (fx, _, cx), (_, fy, cy), _ = sequence_intrinsics(root, entry)
         assert fx == fy and 0.5 < fx / cx / 2 < 0.7 and cy < cx
-        assert poses_path(root, entry).is_file()
+        assert odometry.poses_path(root, entry).is_file()
 
 
 def random_poses(count, seed=0):

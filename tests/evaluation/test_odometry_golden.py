@@ -1,7 +1,5 @@
 """Trajectory errors of real trajectories: golden numbers, and the truth against itself."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -10,14 +8,11 @@ from dualdepth.evaluation import odometry
 from dualdepth.evaluation.odometry import snippet_errors, snippets, trajectory_errors
 
 AHEAD = np.array([0, 0, 1.0])
-REAL = Path(__file__).parents[3] / "shared" / "data" / "kitti_odometry"
 
 
 @pytest.fixture(scope="module")
-def truths():
-    if not REAL.is_dir():
-        pytest.skip("no real KITTI poses beside the repository (../shared/data)")
-    return {f"{n:02d}": read_trajectory(REAL / "poses" / f"{n:02d}.txt") for n in range(11)}
+def truths(real):
+    return {f"{n:02d}": read_trajectory(real(f"kitti_odometry/poses/{n:02d}.txt")) for n in range(11)}
 
 
 SNIPPET_GOLDEN = {
@@ -65,9 +60,10 @@ TRAJECTORY_GOLDEN = {
 
 
 @pytest.mark.parametrize("example, align", list(TRAJECTORY_GOLDEN))
-def test_golden_trajectories(truths, example, align):
+def test_golden_trajectories(truths, real, example, align):
     for sequence, golden in zip(("09", "10"), TRAJECTORY_GOLDEN[example, align]):
-        result = trajectory_errors(truths[sequence], read_trajectory(REAL / "predictions" / example / f"{sequence}.txt"), align)
+        prediction = read_trajectory(real(f"kitti_odometry/predictions/{example}/{sequence}.txt"))
+        result = trajectory_errors(truths[sequence], prediction, align)
         assert " ".join(f"{result[name]:.2f}" for name in ("t_err", "r_err", "ate")) == golden
         if (example, align) == ("example_1", "none"):
             steps = f"{result['rpe_t']:.3f} {result['rpe_r']:.3f}"

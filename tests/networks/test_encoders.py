@@ -125,23 +125,14 @@ def test_lite0s_weights_are_those_that_were_published(tmp_path):
         make_encoder("efficientnet_lite0", pretrained=str(other))
 
 
-def donor_of(name, folder):
-    """What the hub holds, in a folder: a classifier, whose encoder's names have a prefix."""
-    from transformers import MobileNetV2Config, MobileNetV2ForImageClassification, ResNetConfig, ResNetForImageClassification
-
-    if name == "resnet18":
-        config = ResNetConfig(depths=[2, 2, 2, 2], hidden_sizes=[64, 128, 256, 512], layer_type="basic")
-        donor = as_trained(ResNetForImageClassification(config))
-    else:
-        donor = as_trained(MobileNetV2ForImageClassification(MobileNetV2Config()))
-    donor.save_pretrained(folder)
-    assert (folder / "model.safetensors").is_file()
-    return donor
-
-
 @pytest.mark.parametrize("name", ["resnet18", "mobilenet_v2"])
 def test_imagenet_weights_are_taken_from_a_local_folder(name, tmp_path):
-    donor = donor_of(name, tmp_path)
+    """Which holds what the hub does: a classifier, whose encoder's names have a prefix."""
+    from transformers import MobileNetV2Config, MobileNetV2ForImageClassification, ResNetConfig, ResNetForImageClassification
+
+    config = ResNetConfig(depths=[2, 2, 2, 2], hidden_sizes=[64, 128, 256, 512], layer_type="basic")
+    donor = ResNetForImageClassification(config) if name == "resnet18" else MobileNetV2ForImageClassification(MobileNetV2Config())
+    as_trained(donor).save_pretrained(tmp_path)
     torch.manual_seed(6)
     encoder = make_encoder(name, pretrained=str(tmp_path))
     given = {k.split(".", 1)[1]: v for k, v in donor.state_dict().items() if not k.startswith("classifier")}

@@ -9,22 +9,11 @@ from dualdepth.evaluation.statistics import Comparison
 from dualdepth.report import TITLES
 from dualdepth.run import project_root
 from dualdepth.tables import claims
-from dualdepth.tables.claims import (
-    CLAIMS,
-    NOT_REPRODUCED,
-    NOT_RUN,
-    PAIRS,
-    REPRODUCED,
-    WITHIN_NOISE,
-    compare_numbers,
-    judge_claim,
-    judge_claims,
-    judge_number,
-)
+from dualdepth.tables.claims import CLAIMS, NOT_REPRODUCED, NOT_RUN, PAIRS, REPRODUCED, WITHIN_NOISE, compare_numbers, judge_claims
 
 
 def number(ours, paper=0.100, spread=np.nan, seeds=1, metric="abs_rel"):
-    return judge_number(metric, paper, ours, spread=spread, seeds=seeds).word
+    return claims.judge_number(metric, paper, ours, spread=spread, seeds=seeds).word
 
 
 def test_two_percent_half_of_the_last_digit_and_what_is_better_are_reproduced():
@@ -46,7 +35,7 @@ def test_noise_is_the_t_interval_over_seeds():
 
 
 def claim(difference, half, spread=np.nan, seeds=1, lower=True):
-    return judge_claim(Comparison(0, 0, difference, difference - half, difference + half, spread, seeds), lower_is_better=lower)
+    return claims.judge_claim(Comparison(0, 0, difference, difference - half, difference + half, spread, seeds), lower_is_better=lower)
 
 
 def test_a_claim_needs_the_sign_and_both_intervals():

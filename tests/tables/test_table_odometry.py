@@ -22,16 +22,7 @@ from dualdepth.run import Run, Sources
 from dualdepth.tables import odometry as table_module
 from dualdepth.tables.odometry import odometry_claims, odometry_scores, odometry_table, trajectory_table
 from dualdepth.tables.scores import Scores, Trained
-from dualdepth.tables.trajectories import (
-    NO_SEQUENCES,
-    chain,
-    control_poses,
-    follow,
-    follow_control,
-    predicted_motions,
-    triplet_snippets,
-    true_trajectory,
-)
+from dualdepth.tables.trajectories import chain, control_poses, follow, follow_control, predicted_motions, triplet_snippets, true_trajectory
 from dualdepth.training.weights import save_weights
 from tests.small_checkout import write_profile
 
@@ -217,7 +208,7 @@ def test_without_the_folder_every_row_says_how_to_get_it(run):
     scores = odometry_scores(run, [0])
     for table in (odometry_table(run, scores), trajectory_table(run, scores)):
         ours = table[table["source"] == "not run"]
-        assert ours["reason"].eq(NO_SEQUENCES).all() and len(ours)
+        assert ours["reason"].eq(table_module.trajectories.NO_SEQUENCES).all() and len(ours)
     assert odometry_claims(run, scores).empty
 
 

@@ -12,16 +12,7 @@ from dualdepth.evaluation.sharpness import boundary_scores, tenengrad
 from dualdepth.tables import sharpness
 from dualdepth.tables.rows import COMPARISON
 from dualdepth.tables.scores import Scored
-from dualdepth.tables.sharpness import (
-    NO_DENSE_TRUTH,
-    SIZES,
-    THRESHOLDS,
-    detail_claims,
-    detail_scores,
-    detail_table,
-    sharpness_table,
-    tenengrad_scores,
-)
+from dualdepth.tables.sharpness import SIZES, THRESHOLDS, detail_claims, detail_scores, detail_table, sharpness_table, tenengrad_scores
 
 TEXT = """
 about: x
@@ -191,11 +182,11 @@ def test_real_frames_have_no_exact_depth_and_the_table_and_the_claims_say_so(run
     own = make_run("kitti", kitti="")
     table = details_of(own, [0])
     assert table["method"].tolist() == ["LR-Net", "LR-Net + HR-Net, w/o SA", "LR-Net + HR-Net, w/ SA"]
-    assert table["reason"].eq(NO_DENSE_TRUTH).all() and not table.select_dtypes("number").notna().any(axis=None)
+    assert table["reason"].eq(sharpness.NO_DENSE_TRUTH).all() and not table.select_dtypes("number").notna().any(axis=None)
     assert list(table.columns) == list(details_of(run, [0]).columns)
     claims = detail_claims(*detail_scores(own, [0]))
     assert list(zip(claims["a"], claims["b"])) == 2 * [("dual", "lr"), ("dual_no_sa", "lr"), ("dual", "dual_no_sa")]
-    assert claims["reason"].eq(NO_DENSE_TRUTH).all() and list(claims.columns) == COMPARISON
+    assert claims["reason"].eq(sharpness.NO_DENSE_TRUTH).all() and list(claims.columns) == COMPARISON
 
 
 def test_exact_depth_at_each_size_is_what_that_size_could_reach(run):
