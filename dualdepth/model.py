@@ -155,8 +155,12 @@ class DepthModel(nn.Module, ModelHubMixin):
             weights: a `.safetensors` file with its card beside it (`<name>.json`, or `config.json`), as
                 `work/<profile>/runs/<variant>/seed<n>/model.safetensors`; the folder of one; or a name on the model hub, `owner/name`;
                 left out, those that come with the package.
-            device, precision: as of `DepthModel`.
+            device: such as `cpu`, `cuda`, `cuda:1`, `mps`; None takes a GPU where there is one.
+            precision: `float32` or `bf16`; None takes bf16 on a CUDA GPU that has it, else float32.
             hub: options of `huggingface_hub.snapshot_download`, such as `revision`, `cache_dir`, `token`, `local_files_only`.
+
+        Returns:
+            The model; `predict(image)` gives (H, W) float32 relative depth, `about` says what it was learned from.
 
         Raises:
             InputError: the weights or their card are missing, damaged, changed (sha256) or of another network, or the device or precision

@@ -63,14 +63,14 @@ def check_roots(given: Mapping[str, str]) -> None:
 
 
 def parse_seeds(text: str) -> list[int]:
-    """Seeds of `0,1,2`; none of an empty text; an `InputError` for all but whole numbers from 0 up between commas."""
+    """Seeds of a text such as `0,1,2`, or of an empty one; an `InputError` for all but whole numbers from 0 up between commas."""
     if text and not re.fullmatch(r"\s*[0-9]{1,18}\s*(,\s*[0-9]{1,18}\s*)*", text):
         raise InputError(f"seeds {text!r}: give whole numbers from 0 up between commas, such as 0,1,2")
     return [int(part) for part in text.split(",") if text]
 
 
 def project_root() -> Path:
-    """The checkout: the nearest folder, from here upwards, that holds both `notebooks/` and `Snakefile`; an `InputError` without one."""
+    """The checkout: the nearest folder, from here upwards, that holds both `notebooks/` and `Snakefile`, else an `InputError`."""
     here = Path.cwd()
     for folder in (here, *here.parents):
         if (folder / "notebooks").is_dir() and (folder / "Snakefile").is_file():

@@ -30,7 +30,7 @@ def export_onnx(weights: str | Path, out: str | Path, frames: Sequence[str | Pat
     It takes the image itself, so that nobody has to average it for LR-Net; what does not shape the finest disparity, such as the decoder
     of a dual network's LR-Net, is not part of it.
 
-    It is compared on `frames`, or on three made-up images; what was written and how near to PyTorch it is comes back, in two lines.
+    The file is compared on `frames`, or on three made-up images. Returns what was written and how near to PyTorch it is, in two lines.
 
     Raises:
         InputError: a package is missing; the weights, their card or a frame cannot be read; nothing can be written at `out`; the

@@ -41,8 +41,8 @@ def predict_files(
 ) -> bool:
     """Write what is predicted of files into a folder, say what comes of it, and keep results that are newer than what they are made of.
 
-    The inputs are from `find_inputs`; `kinds` are keys of `SUFFIXES`, none takes colour and depth of an image, side of a video. Says
-    whether all inputs could be read, and to their end; the others are named on stderr.
+    `paths` are from `find_inputs`. `kinds` are keys of `SUFFIXES`; an empty sequence takes colour and depth of an image, side of a video.
+    Returns whether all inputs could be read to their end; the others are named on stderr.
 
     Raises:
         InputError: results cannot be written, another process writes there, or the network gives no numbers.
@@ -72,7 +72,7 @@ def find_inputs(given: Iterable[str | Path]) -> list[Path]:
     """Files in the order given, each once.
 
     A file is taken whatever its ending. A folder stands for the images and videos in it (not below it), in natural order; a pattern
-    (`*`, `?`, `[…]`, `**`) for those that match it. Of both, hidden files and results of an earlier prediction are left out.
+    (`*`, `?`, `[…]`, `**`) stands for those that match it. Hidden files and results of an earlier prediction are left out of both.
 
     Raises:
         InputError: something is not there, or there are no images or videos in it.
