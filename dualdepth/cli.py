@@ -17,7 +17,7 @@ from dualdepth.run import ROOTS, Run, add_roots
 
 EXAMPLES = {
     "dualdepth": ["dualdepth predict photo.jpg --out depth", "dualdepth reproduce --profile tiny"],
-    "dualdepth evaluate": ["dualdepth evaluate depth --pred disparities.npy --gt gt.npz", "dualdepth evaluate odometry --help"],
+    "dualdepth evaluate": ["dualdepth evaluate depth --pred depths.npy --gt gt.npz", "dualdepth evaluate odometry --help"],
     "dualdepth evaluate depth": ["dualdepth evaluate depth --pred disparities.npy --gt gt.npz --kind disparity --json scores.json"],
     "dualdepth evaluate odometry": ["dualdepth evaluate odometry --pred 09.txt --gt poses/09.txt --json scores.json"],
     "dualdepth reproduce": ["dualdepth reproduce --profile tiny", "dualdepth reproduce --profile paper --kitti-root /data/kitti_raw"],
@@ -27,7 +27,7 @@ EXAMPLES = {
     "dualdepth export": ["dualdepth export --to onnx --weights work/miniature/runs/dual/seed0/model.safetensors --out depth.onnx"],
 }
 """What a `--help` ends with; `tests/test_docs.py` runs or parses each."""
-PROFILE = "tiny, miniature, claims, trials, sample, paper, beyond, own, or a YAML file (default: %(default)s)"
+PROFILE = "such as tiny, sample or paper, or a YAML file (default: %(default)s)"
 
 
 class OneLineParser(argparse.ArgumentParser):

@@ -63,9 +63,12 @@ def make_report(run: Run) -> Report:
     claims, numbers = judge_claims(read), compare_numbers(tables, judged == "numbers")
     if judged == "none":
         claims["verdict"] = claims["verdict"].where(claims["verdict"] == NOT_RUN, "not judged")
-    where, words = "of a synthetic world, not of KITTI" if run.profile.world else "of a small training", _WORDS["cautions"][judged]
-    beyond = [_WORDS[name] for name in ("residual", "pose_encoder") if getattr(run.profile.training, f"beyond_paper_{name}")]
-    caution = " ".join([f"These are numbers {where}: {words}", *beyond]) if words else ""
+    training, words = run.profile.training, _WORDS["cautions"][judged]
+    used = {"residual": training.beyond_paper_residual, "pose_encoder": training.beyond_paper_pose_encoder}
+    used |= {"frozen_pose": training.hr.beyond_paper_frozen_pose}
+    used |= {"augmented": training.augmentation.beyond_paper_flip or training.augmentation.beyond_paper_colour}
+    beyond = [_WORDS[name] for name, on in used.items() if on]
+    caution = " ".join([f"What these are numbers of: {run.profile.about}. Of them {words}", *beyond]) if words else ""
     if not run.profile.data.has_truth:
         caution = "An own camera has no ground truth: nothing is scored and nothing is judged. What was learned shows in the pictures."
     if leaks:
@@ -85,11 +88,12 @@ def headline(main: pd.DataFrame) -> str:
     ours = main[main["source"] == "measured"].set_index("method")
     measured = ours["abs_rel"].dropna()
     names = {
-        "LR-Net + HR-Net, w/ SA": "the dual network's depth is off by {:.1%} on average",
-        "LR-Net": "LR-Net's by {:.1%}",
-        "Train set mean": "the mean depth map of other streets by {:.1%}",
+        "LR-Net + HR-Net, w/ SA": "the dual network's depth {}",
+        "LR-Net": "LR-Net's {}",
+        "Train set mean": "the mean depth map of other streets {}",
     }
-    said = [words.format(measured[method]) for method, words in names.items() if method in measured]
+    shares = [(words, f"by {measured[method]:.1%}") for method, words in names.items() if method in measured]
+    said = [words.format(f"is off {share} on average" if not place else share) for place, (words, share) in enumerate(shares)]
     if not said:
         return "Nothing was scored; what was learned shows in the pictures."
     leaked = "leak" in ours and ours["leak"].fillna("").ne("").any()

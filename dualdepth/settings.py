@@ -171,7 +171,7 @@ class SecondStage(StageSettings):
     """Stage 2, and what of it goes beyond the paper."""
 
     beyond_paper_frozen_pose: bool = False
-    """Beyond the paper: PoseNet stays as stage 1 left it. Going on, it takes back what depth gains (docs/learning.md, "Stage 2")."""
+    """Beyond the paper: PoseNet stays as stage 1 left it, which saves a part of each step (docs/learning.md, "Real KITTI")."""
     beyond_paper_residual_heads: float = Field(0.0, ge=0.0)
     """Beyond the paper: first weights of the heads of an HR-Net that adds to LR-Net's logits, as a share of Xavier's; at 0 it begins with
     LR-Net's depth to the bit."""
@@ -187,7 +187,7 @@ class Training(Settings):
     lr: StageSettings = StageSettings()
     """Stage 1: LR-Net and PoseNet."""
     hr: SecondStage = SecondStage()
-    """Stage 2: HR-Net and SA-Attention beside a frozen LR-Net; PoseNet goes on from stage 1."""
+    """Stage 2: HR-Net and SA-Attention beside a frozen LR-Net; PoseNet begins as stage 1 left it."""
     augmentation: Augmentation = Augmentation()
     loss: Loss = Loss()
     beyond_paper_residual: bool = False
@@ -248,7 +248,7 @@ class Variant(Design, Settings):
     trains_on: Literal["depth", "odometry"] = "depth"
     """Drives of the depth tables, or sequences of the odometry table; two trainings, since each one's test drives are the other's data."""
     starts_from: str | None = None
-    """The variant of stage 1 whose LR-Net is frozen inside and whose PoseNet goes on; of `hr` only PoseNet."""
+    """The variant of stage 1 whose LR-Net is frozen inside and whose PoseNet is taken over; of `hr` only PoseNet."""
     set: dict[str, Any] = Field({})
     """Settings of the profile that differ, by dotted name: `training.loss.feature: 0`."""
 

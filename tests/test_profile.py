@@ -67,6 +67,11 @@ def test_every_claim_of_the_paper_has_its_trainings_in_the_profile_of_claims():
         assert known >= {*(claim.instead or (claim.a, claim.b))}, claim.text
 
 
+def test_where_the_poses_of_stage_2_are_scored_posenet_goes_on():
+    for name in ("sample_odometry", "paper"):
+        assert not load_profile(name).of_variant("odometry_dual").training.hr.beyond_paper_frozen_pose, name
+
+
 def test_an_unknown_profile_names_those_there_are_and_a_file_that_is_not_there_is_named(tmp_path):
     with pytest.raises(InputError, match=r"profile 'papper' not found: choose one of beyond, claims, .*, paper, sample, .*tiny"):
         load_profile("papper")
@@ -133,6 +138,7 @@ BAD_SETTINGS = [
     ("  hr_size: [96, 288]\n", "hr_size"),
     ("  train_list: eigen_zhou\n", "train_list or train_drives"),
     ("world: {static_frames: 50}\n", "static_frames 50 is more than frames_per_drive 40"),
+    ("training: {hr: {beyond_paper_residual_heads: 0.1}}\n", "beyond_paper_residual_heads needs training.beyond_paper_residual"),
     ("world: {test_seed: 1}\n", "the scored streets would be the training streets"),
 ]
 BAD_VARIANTS = [

@@ -39,7 +39,7 @@ def make_run(tmp_path):
     ("profile", "claim", "caution"),
     [
         ("tiny", "not judged", "nothing here is judged"),
-        ("miniature", "reproduced", "synthetic world, not of KITTI"),
+        ("miniature", "reproduced", "numbers of that world, not of KITTI"),
         ("own", "not judged", "no ground truth: nothing is scored"),
     ],
 )
@@ -149,4 +149,6 @@ def test_a_run_ends_with_what_was_learned_and_where_to_look(tmp_path):
     for words in ("20.0%", "18.0%", "30.0%", "results/paper/figures/side_by_side.png", "results/paper/report.html"):
         assert words in said
     assert "50.0%" not in said and "%" not in headline(table.assign(abs_rel=np.nan))
+    alone = headline(table.assign(abs_rel=table["abs_rel"].mask(table["method"].str.contains("HR-Net"))))
+    assert "LR-Net's is off by 20.0% on average" in alone  # also the sentence of a profile without a dual network is one
     assert headline(table.assign(leak="LEAK: trained on d")).split(",")[0] != headline(table).split(",")[0]

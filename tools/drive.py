@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image
 from tqdm import tqdm
 
-from data_scripts.miniature.plan import plan_world
+from data_scripts.miniature.plan import TEST_STEP, plan_world
 from data_scripts.miniature.render import write_shot
 from dualdepth.data.kitti import read_frame_list, read_image
 from dualdepth.data.lidar import ground_truth
@@ -30,10 +30,10 @@ def drive(profile: str, target: Path) -> None:
     model = load(run.weights("dual", run.profile.seeds[0]))
     world = run.profile.world
     # all frames of the street, of which the tables score each fifth
-    every = world.model_copy(update={"test_step": 1, "test_frames": (world.test_frames - 1) * world.test_step + 1, "test_drives": 1})
+    every = world.model_copy(update={"test_frames": (world.test_frames - 1) * TEST_STEP + 1, "test_drives": 1})
     pages = []
     with tempfile.TemporaryDirectory() as folder:
-        work = plan_world(every, Path(folder))
+        work = plan_world(every, Path(folder), step=1)
         for name, text in work.texts.items():
             path = work.root / name
             path.parent.mkdir(parents=True, exist_ok=True)

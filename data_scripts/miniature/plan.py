@@ -41,15 +41,15 @@ class Work:
         self.shots.append(shot._replace(**files))
 
 
-def plan_world(world: World, root: Path) -> Work:
-    """List all shots and texts of a world that is written below `root`."""
+def plan_world(world: World, root: Path, step: int = TEST_STEP) -> Work:
+    """List all shots and texts of a world that is written below `root`; each `step`-th frame of a test drive is scored."""
     work = Work(world, root)
     for name, text in formats.calibration_texts(world.size).items():
         work.texts[f"kitti_raw/{formats.DATE}/{name}"] = text
     for number in range(world.train_drives):
         _train_drive(work, number)
     for number in range(world.test_drives):
-        _test_drive(work, number)
+        _test_drive(work, number, step)
     for number in range(world.odometry_train):
         _sequence(work, f"{number:02d}", (world.train_seed, ODOMETRY, number), frames=world.odometry_frames)
     for number in range(world.odometry_test):
@@ -81,12 +81,12 @@ def _train_drive(work: Work, number: int) -> None:
     work.lists["static_frames"] += [f"{day} {name} {k:010d}" for k in np.flatnonzero(ride.standing)]
 
 
-def _test_drive(work: Work, number: int) -> None:
+def _test_drive(work: Work, number: int, step: int) -> None:
     """Scored frames in a street of their own, each with scan, exact depth and labels."""
     day, world, root = formats.DATE, work.world, work.root
     name = f"{day}_drive_{FIRST_TEST_DRIVE + number:04d}_sync"
     folder = f"kitti_raw/{day}/{name}"
-    frames = [k * TEST_STEP for k in range(world.test_frames)]
+    frames = [k * step for k in range(world.test_frames)]
     ride = _raw_drive((world.test_seed, RAW, number), frames[-1] + 1, BEND)
     for k in frames:
         depth, labels = root / "dense_depth" / name / f"{k:010d}.npy", root / "labels" / name / f"{k:010d}.png"

@@ -27,7 +27,7 @@ def ablation_table(run: Run, scores: Scores) -> pd.DataFrame:
 
 
 def ablation_claims(run: Run, scores: Scores) -> pd.DataFrame:
-    """The pairs of the paper's claims, and each of the profile's own variants against the paper's network of its stage."""
+    """The pairs of the paper's claims, and each of the profile's own variants against its `lr` or `dual`, by their stage."""
     own = ((variant, "lr" if run.profile.variant(variant).stage == "lr" else "dual") for variant in own_variants(run))
     more = comparisons(row for pair in own for row in paired(scores, *pair))
     return pd.concat([claims_table(scores, "ablation"), *([more] if len(more) else [])], ignore_index=True)

@@ -47,8 +47,8 @@ class Stage(nn.Module):
     """A step of either stage (paper, sections "Dual Network Architecture" and "Loss").
 
     Stage 1: LR-Net and PoseNet learn together from LR images. Stage 2: the depth network learns from HR images by L_ph and L_smooth alone;
-    PoseNet, a new one or that of stage 1, sees LR images as before and goes on learning. In stage 1 (`low`) the depth network sees LR
-    images, too; what is frozen in it stays so. `training` says losses, augmentation and memory layout.
+    PoseNet, a new one or that of stage 1, sees LR images as before and goes on learning unless it is frozen. In stage 1 (`low`) the depth
+    network sees LR images, too; what is frozen in it stays so. `training` says losses, augmentation and memory layout.
     """
 
     def __init__(self, depth_net: nn.Module, pose_net: PoseNet | EncoderPoseNet, training: Training, *, low: bool) -> None:

@@ -42,7 +42,7 @@ def test_every_claim_of_the_paper_is_compared_with_the_better_one_first(scored, 
     assert errors["dual", "hr_only"].startswith("better by 0.3:")
 
 
-def test_variants_of_a_profiles_own_come_last_and_stand_against_the_papers_network_of_their_stage(scored, make_run):
+def test_variants_of_a_profiles_own_come_last_and_stand_against_lr_or_dual(scored, make_run):
     more = "mine: {label: Mine, about: x, network: lr}\n  dual_mine: {label: Mine 2, about: x, network: dual, starts_from: lr}"
     text = f"about: x\nextends: tiny\nvariants:\n  {more}\n  dual: {{label: D, about: x, network: dual, starts_from: lr}}"
     run = make_run(text=f"{text}\ntrain: {{lr: , dual: , mine: , dual_mine: }}")
