@@ -86,7 +86,9 @@ def _files(word: str) -> list[Path]:
         return [path]
     if not path.is_dir() and not glob.has_magic(word):
         raise InputError(f"{word}: no such file or folder; give an image, a video, a folder or a pattern in quotes")
-    candidates = path.iterdir() if path.is_dir() else map(Path, glob.glob(word, recursive=True))
+    candidates = list(path.iterdir() if path.is_dir() else map(Path, glob.glob(word, recursive=True)))
+    if not candidates and not path.is_dir():
+        raise InputError(f"{word}: no file matches this pattern; check its folder and its ending")
     return media([path for path in candidates if not path.name.lower().endswith((*SUFFIXES.values(), SIDE_VIDEO))], word)
 
 

@@ -37,12 +37,12 @@ def test_folders_and_patterns_stand_for_their_images_and_videos_and_each_file_co
     assert names(["notes.txt", "a.depth.png", "[1].png"]) == ["notes.txt", "a.depth.png", "[1].png"]
 
 
-@pytest.mark.parametrize("given", ["gone.png", "*.xyz", "empty"])
-def test_what_is_not_there_is_named(folder, given):
+@pytest.mark.parametrize(("given", "what"), [("gone.png", "such file"), ("*.xyz", "file matches"), ("empty", "images or videos")])
+def test_what_is_not_there_is_named(folder, given, what):
     (folder / "empty").mkdir()
     with pytest.raises(InputError) as error:
         find_inputs([given])
-    assert str(error.value).startswith(f"{given}: no ")
+    assert str(error.value).startswith(f"{given}: no {what}")
 
 
 OPTIONS = {"weights": "w", "scale": "1.0"}
