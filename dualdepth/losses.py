@@ -1,6 +1,7 @@
 """The paper's losses (section "Loss"), each a mean over the pixels that have at least one valid source view."""
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -18,23 +19,45 @@ def ssim(a: Tensor, b: Tensor) -> Tensor:
     Of images in [0, 1]: `a` (B, C, H, W), and `b` (B·S, C, H, W), S for each of `a`, whose own statistics are then computed once.
     This is monodepth2's and GeoNet's SSIM; kornia's has a Gaussian window, which gives other values.
     """
-    sources = len(b) // len(a)
-    mean_a = box(a)
-    var_a = box(a * a) - mean_a**2
-    a, mean_a, var_a = (x.repeat_interleave(sources, 0) for x in (a, mean_a, var_a))
-    mean_b = box(b)
-    var_b = box(b * b) - mean_b**2
-    covariance = box(a * b) - mean_a * mean_b
-    luminance = (2 * mean_a * mean_b + SSIM_C1) / (mean_a**2 + mean_b**2 + SSIM_C1)
-    structure = (2 * covariance + SSIM_C2) / (var_a + var_b + SSIM_C2)
-    return luminance * structure
+    views = (len(a), len(b) // len(a))
+    product = (a[:, None] * b.unflatten(0, views)).flatten(0, 1)
+    mean_a, mean_b = box(a)[:, None], box(b).unflatten(0, views)
+    square_a, square_b, product = box(a * a)[:, None], box(b * b).unflatten(0, views), box(product).unflatten(0, views)
+    # variances and covariance are means of products less products of means
+    means, squares = 2 * mean_a * mean_b, mean_a**2 + mean_b**2
+    above = (means + SSIM_C1) * (2 * product - means + SSIM_C2)
+    below = (squares + SSIM_C1) * (square_a + square_b - squares + SSIM_C2)
+    return (above / below).flatten(0, 1)
 
 
-def box(x: Tensor) -> Tensor:
-    """Means over 3×3 pixels of (B, C, H, W), mirrored at the border; shifted sums, since pooling takes three times as long on a CPU."""
-    x = F.pad(x, (1, 1, 1, 1), mode="reflect")
-    x = x[..., :-2] + x[..., 1:-1] + x[..., 2:]
-    return (x[..., :-2, :] + x[..., 1:-1, :] + x[..., 2:, :]) / 9
+class Box(torch.autograd.Function):
+    """Means over 3×3 pixels of (B, C, H, W), mirrored at the border.
+
+    Shifted sums, since pooling takes three times as long on a CPU, with a gradient of shifted sums, since that of slices fills an image
+    with zeros for each of them.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor) -> Tensor:
+        """The means."""
+        x = F.pad(x, (1, 1, 1, 1), mode="reflect")
+        x = (x[..., :-2] + x[..., 1:-1]).add_(x[..., 2:])
+        return (x[..., :-2, :] + x[..., 1:-1, :]).add_(x[..., 2:, :]).div_(9)
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> Tensor:
+        """Each pixel is in the windows around it, and one beside the border once more in that of the border."""
+        for dim in (-1, -2):
+            size, whole = gradient.shape[dim], gradient.clone()
+            whole.narrow(dim, 1, size - 1).add_(gradient.narrow(dim, 0, size - 1))
+            whole.narrow(dim, 0, size - 1).add_(gradient.narrow(dim, 1, size - 1))
+            whole.select(dim, 1).add_(gradient.select(dim, 0))
+            whole.select(dim, -2).add_(gradient.select(dim, -1))
+            gradient = whole
+        return gradient.div_(9)
+
+
+box: Callable[[Tensor], Tensor] = Box.apply
 
 
 def photometric_error(target: Tensor, synthesized: Tensor, alpha: float) -> Tensor:
@@ -42,10 +65,10 @@ def photometric_error(target: Tensor, synthesized: Tensor, alpha: float) -> Tens
 
     (B·S, 1, H, W) of targets (B, 3, H, W) in [0, 1] and S synthesized views for each, (B·S, 3, H, W).
     """
-    dissimilarity = ((1.0 - ssim(target, synthesized)) / 2.0).clamp(0.0, 1.0)
-    difference = (target.repeat_interleave(len(synthesized) // len(target), 0) - synthesized).abs()
-    error = alpha * dissimilarity + (1.0 - alpha) * difference
-    return error.mean(dim=1, keepdim=True)
+    dissimilarity = (1.0 - ssim(target, synthesized)).clamp(0.0, 2.0).mean(dim=1, keepdim=True)
+    views = synthesized.unflatten(0, (len(target), -1))
+    difference = (target[:, None] - views).abs().mean(dim=2).flatten(0, 1)[:, None]
+    return alpha / 2.0 * dissimilarity + (1.0 - alpha) * difference
 
 
 def feature_error(target: Tensor, synthesized: Tensor) -> Tensor:

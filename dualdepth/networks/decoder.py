@@ -11,6 +11,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from dualdepth.networks.convolution import conv3x3
+
 WIDTHS = (256, 128, 64, 32, 16)  # Channels from stride 16 to stride 1.
 MAX_NECK = 512
 START_LOGIT = -5.0
@@ -29,11 +31,6 @@ class DepthOutput(NamedTuple):
     def disparities(self) -> list[Tensor]:
         """Inverse depths (B, 1, H/2^s, W/2^s)."""
         return [DISPARITY_SCALE * torch.sigmoid(logit) + DISPARITY_OFFSET for logit in self.logits]
-
-
-def conv3x3(inputs: int, outputs: int) -> nn.Conv2d:
-    """3×3 convolution with bias and reflection padding."""
-    return nn.Conv2d(inputs, outputs, 3, padding=1, padding_mode="reflect")
 
 
 def in_float32(kind: str) -> contextlib.AbstractContextManager[object]:

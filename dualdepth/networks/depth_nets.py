@@ -6,6 +6,7 @@ from torch.nn import functional as F
 
 from dualdepth.networks import Link, Normalise, Similarity
 from dualdepth.networks.attention import WIDTH, SelfAssembledAttention
+from dualdepth.networks.convolution import conv3x3
 from dualdepth.networks.decoder import Decoder, DepthOutput
 from dualdepth.networks.encoders import make_encoder, outputs
 
@@ -35,7 +36,11 @@ class HREncoder(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.stages = nn.ModuleList(
-            nn.Sequential(*_block(before, width, 2), *_block(width, width, 1)) for before, width in zip((3, *HR_WIDTHS), HR_WIDTHS)
+            nn.Sequential(
+                *(conv3x3(before, width, 2, bias=False), nn.BatchNorm2d(width), nn.ELU()),
+                *(conv3x3(width, width, bias=False), nn.BatchNorm2d(width), nn.ELU()),
+            )
+            for before, width in zip((3, *HR_WIDTHS), HR_WIDTHS)
         )
 
     def forward(self, image: Tensor) -> list[Tensor]:
@@ -119,8 +124,3 @@ class DualNet(nn.Module):
             start = (F.interpolate(floored, x.shape[-2:], mode="bilinear", align_corners=False) for x in output.logits)
             output = output._replace(logits=[x + s for x, s in zip(output.logits, start)])
         return (output, low_output) if with_lr_depth else output
-
-
-def _block(width_in: int, width: int, stride: int) -> list[nn.Module]:
-    conv = nn.Conv2d(width_in, width, 3, stride=stride, padding=1, padding_mode="reflect", bias=False)
-    return [conv, nn.BatchNorm2d(width), nn.ELU()]

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from dualdepth.errors import InputError
+from dualdepth.networks.convolution import Conv2d, reflect_padding
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
@@ -162,17 +163,6 @@ class BackboneEncoder(Encoder):
         return [None, *self.backbone(image).feature_maps]
 
 
-class DepthwiseConv2d(nn.Conv2d):
-    """A filter for each channel, on the CPU in float32 even under autocast: its bf16 gradients take oneDNN four to six times as long."""
-
-    def forward(self, x: Tensor) -> Tensor:
-        """As `nn.Conv2d`, with the type that autocast would give."""
-        if x.device.type != "cpu" or not torch.is_autocast_enabled("cpu"):
-            return super().forward(x)
-        with torch.autocast("cpu", enabled=False):
-            return super().forward(x.float()).to(torch.get_autocast_dtype("cpu"))
-
-
 def outputs(layers: nn.ModuleList, x: Tensor, kept: Sequence[int] | None = None) -> list[Tensor]:
     """What layers give that run one after another, the first on `x`: all of them, or those whose places are `kept`."""
     maps = []
@@ -196,13 +186,8 @@ def make_encoder(name: str, pretrained: bool | str = False) -> Encoder:
     """
     own = {"mobilenet_v2": MobileNetV2Encoder, "efficientnet_lite0": EfficientNetLite0Encoder}
     if name in own:
-        encoder = own[name](pretrained)
-    else:
-        encoder = ResNetEncoder(name, pretrained) if name in RESNETS else BackboneEncoder(name, pretrained)
-    for layer in encoder.modules():
-        if type(layer) is nn.Conv2d and layer.groups == layer.in_channels > 1:
-            layer.__class__ = DepthwiseConv2d  # the same weights, wherever the layer comes from
-    return encoder
+        return own[name](pretrained)
+    return ResNetEncoder(name, pretrained) if name in RESNETS else BackboneEncoder(name, pretrained)
 
 
 def lite0_weights(path: bool | str = True) -> dict[str, Tensor]:
@@ -224,13 +209,6 @@ def lite0_weights(path: bool | str = True) -> dict[str, Tensor]:
     return torch.load(path, map_location="cpu", weights_only=True)
 
 
-def reflect_padding(module: nn.Module) -> None:
-    """Replace zero padding by reflection in every convolution of `module` that has its padding as numbers."""
-    for child in module.modules():
-        if isinstance(child, nn.Conv2d) and any(child._reversed_padding_repeated_twice) and not isinstance(child.padding, str):
-            child.padding_mode = "reflect"
-
-
 def _normalised(inputs: int, outputs: int, kernel: int = 1, stride: int = 1, groups: int = 1) -> list[nn.Module]:
     """A convolution without bias, batch norm and ReLU6.
 
@@ -238,7 +216,7 @@ def _normalised(inputs: int, outputs: int, kernel: int = 1, stride: int = 1, gro
     replication, since the deepest maps are too small to reflect two pixels.
     """
     mode = {1: "zeros", 3: "reflect", 5: "replicate"}[kernel]
-    convolution = nn.Conv2d(inputs, outputs, kernel, stride, groups=groups, bias=False, padding_mode=mode)
+    convolution = Conv2d(inputs, outputs, kernel, stride, groups=groups, bias=False, padding_mode=mode)
     before = (kernel - stride) // 2
     convolution._reversed_padding_repeated_twice = [before, kernel - stride - before] * 2
     return [convolution, nn.BatchNorm2d(outputs, eps=1e-3), nn.ReLU6()]

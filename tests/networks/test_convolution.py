@@ -1,0 +1,31 @@
+"""Convolutions under autocast on the CPU against float32's."""
+
+import pytest
+import torch
+from torch import nn
+
+from dualdepth.networks.convolution import Conv2d, conv3x3
+from dualdepth.networks.encoders import make_encoder
+
+
+@pytest.mark.parametrize("layer", [conv3x3(4, 6), conv3x3(4, 6, stride=2, bias=False), Conv2d(4, 4, 3, groups=4), nn.Conv2d(4, 6, 3)])
+def test_under_autocast_values_and_gradients_are_those_of_float32_but_for_rounding(layer):
+    x = torch.rand(2, 4, 8, 10).bfloat16().float().requires_grad_()
+    expected = layer(x)
+    slopes = torch.autograd.grad(expected.square().sum(), [x, *layer.parameters()])
+    with torch.autocast("cpu", torch.bfloat16):
+        found = layer(x)
+    assert found.dtype == torch.bfloat16
+    torch.testing.assert_close(found.float(), expected, rtol=0.02, atol=0.02)
+    for slope, other in zip(slopes, torch.autograd.grad(found.float().square().sum(), [x, *layer.parameters()])):
+        torch.testing.assert_close(other, slope, rtol=0.02, atol=0.02 * float(slope.abs().max()))
+
+
+@pytest.mark.parametrize("name", ["efficientnet_lite0", "mobilenet_v2"])
+def test_a_filter_for_each_channel_is_computed_in_float32(name):
+    layers = [layer for layer in make_encoder(name).modules() if isinstance(layer, nn.Conv2d) and layer.groups > 1]
+    assert len(layers) >= 16
+    x = torch.rand(2, layers[-1].in_channels, 6, 10)
+    with torch.autocast("cpu", torch.bfloat16):
+        found = layers[-1](x)
+    assert torch.equal(found, layers[-1](x).bfloat16())
