@@ -1,6 +1,5 @@
 """The paper's losses (section "Loss"), each a mean over the pixels that have at least one valid source view."""
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import torch
@@ -57,7 +56,7 @@ class Box(torch.autograd.Function):
         return gradient.div_(9)
 
 
-box: Callable[[Tensor], Tensor] = Box.apply
+box = Box.apply
 
 
 def photometric_error(target: Tensor, synthesized: Tensor, alpha: float) -> Tensor:

@@ -62,6 +62,7 @@ def train_variant(run: Run, name: str, seed: int) -> Path:
             "pretrained": variant.network != "hr" and (before["pretrained"] if before else bool(pretrained)),
             "drives": sorted(set(drives) | set(before["drives"] if before else ())),
             "pose_encoder": profile.training.beyond_paper_pose_encoder,
+            "frozen_pose": bool(start) and profile.training.hr.beyond_paper_frozen_pose,
             "average": profile.training.beyond_paper_average,
             "starts_from": {k: before[k] for k in ("variant", "seed", "steps", "sha256")} if before else None,
             "stamp": run.stamp([run.index(name), *([start] if start else [])]),
