@@ -11,12 +11,12 @@ export OMP_WAIT_POLICY := PASSIVE
 STAMP := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help env reproduce status test fast soak mutants lab lint browser lock bench publish notebooks clean
+.PHONY: help env reproduce status test fast soak mutants lab lint browser lock bench bench-gpu publish notebooks clean
 
 help: ## what can be made
 	@echo "make reproduce [PROFILE=miniature] [KITTI_ROOT=dir] [ODOMETRY_ROOT=dir] [MAKE3D_ROOT=dir] [LABELS_ROOT=dir] [TEST_LIST=file]"
 	@echo "               [SEEDS=0,1,2] [ALLOW_LEAK=1], and:"
-	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 12
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 12
 
 # a folder's name reaches the shell as it was given, with all of $ # ' and blanks
 quoted = '$(subst ','\'',$(value $(1)))'
@@ -73,6 +73,9 @@ lab: env ## JupyterLab on this machine's own address
 
 bench: env ## speed of loader, training step, inference
 	python -m tools.bench
+
+bench-gpu: ## on a GPU: speed, memory, repeatability of both stages, hours of the paper's run; uses the Python at hand, with torch and kornia in it
+	python3 -m tools.bench_gpu
 
 browser: ## install Debian's Chromium, for the tests that look at pages
 	@sudo=$$(test $$(id -u) = 0 || echo sudo); $$sudo apt-get update -qq && $$sudo apt-get install -y -qq --no-install-recommends chromium chromium-driver

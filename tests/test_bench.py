@@ -1,9 +1,12 @@
-"""The bench times the parts of a training step."""
+"""The bench times the parts of a training step, and its verdict on a GPU can be had on a CPU, too."""
+
+import json
 
 import pytest
 import torch
 
 from dualdepth.profile import load_profile
+from tools import bench_gpu
 from tools.bench import median_step
 
 
@@ -16,3 +19,16 @@ def test_a_step_is_timed_by_its_parts(name, encoder):
     found = median_step(name, training, {"images": images, "intrinsics": matrix}, torch.device("cpu"), 1)
     parts = [found.pop(part) for part in ("networks", "losses", "backward", "optimiser")]
     assert min(parts) > 0 and sum(parts) == pytest.approx(found["step"]) and found["peak_mb"] > 100
+
+
+@pytest.mark.slow
+def test_a_verdict_is_found_on_the_device_at_hand(monkeypatch, tmp_path, encoder):
+    monkeypatch.setattr(bench_gpu, "TRIALS", [trial for trial in bench_gpu.TRIALS if trial.batch == 4 and not trial.compiled])
+    profile = tmp_path / "own.yaml"
+    profile.write_text(f"extends: paper\nabout: tiny\ndata: {{hr_size: [192, 288]}}\ntraining: {{encoder: {encoder}}}\n")
+    sizes = ["--profile", str(profile), "--device", "cpu", "--steps", "3", "--workers", "1"]
+    assert bench_gpu.main([*sizes, "--out", str(tmp_path / "out")]) == 0
+    found = json.loads((tmp_path / "out.json").read_text())
+    assert not [row for row in found["rows"] if "error" in row] and found["verdicts"]["hr: two runs equal to the bit"]
+    hours = found["verdicts"]["lr: hours of the paper's run"]
+    assert hours == pytest.approx(398_080 * found["rows"][0]["step_s"] / 3600)

@@ -45,9 +45,9 @@ def write_frames(folder: Path) -> Triplet:
     return Triplet("bench", (paths[1], paths[0], paths[2]), np.array([[721.5, 0, 609.6], [0, 721.5, 172.9], [0, 0, 1.0]]))
 
 
-def make_net(name: str) -> nn.Module:
-    """A depth network for high resolution with new weights: `dual` with the paper's ResNet50, or an encoder's name."""
-    return (Architecture(network="dual", encoder="resnet50") if name == "dual" else Architecture(network="single", encoder=name)).build()
+def make_net(name: str, encoder: str = "resnet50") -> nn.Module:
+    """A depth network for high resolution with new weights: `dual` with an encoder in it, or an encoder's name."""
+    return (Architecture(network="dual", encoder=encoder) if name == "dual" else Architecture(network="single", encoder=name)).build()
 
 
 def median_step(name: str, training: Training, batch: dict[str, Any], device: torch.device, repeats: int) -> dict[str, float]:
