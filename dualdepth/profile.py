@@ -152,9 +152,9 @@ def load_profile(name: str) -> Profile:
 def _read(name: str) -> tuple[Path, dict[str, Any]]:
     """The file of a profile, and its settings laid over those of the profile that it `extends`."""
     path = Path(name) if name.endswith((".yaml", ".yml")) else PROFILES / f"{name}.yaml"
+    known = sorted(shipped.stem for shipped in PROFILES.glob("*.yaml") if shipped != path)
     if not path.is_file():
-        known = ", ".join(sorted(p.stem for p in PROFILES.glob("*.yaml")))
-        raise InputError(f"profile {name!r} not found: choose one of {known} or give the path of a .yaml file that is there")
+        raise InputError(f"profile {name!r} not found: choose one of {', '.join(known)} or give the path of a .yaml file that is there")
     if not re.fullmatch(r"[\w.-]+", path.stem):
         raise InputError(f"profile {name}: folders and commands are named by it; give the file a name of letters, digits, . _ and -")
     with reading(path, "give settings in YAML"):
@@ -163,7 +163,6 @@ def _read(name: str) -> tuple[Path, dict[str, Any]]:
         raise InputError(f"{path}: expected a mapping of settings, found {type(values).__name__}")
     if (base := values.pop("extends", None)) is None:
         return path, values
-    known = sorted(p.stem for p in PROFILES.glob("*.yaml") if p != path)
     if base not in known:
         raise InputError(f"{path}: extends {base!r}, which is no shipped profile; name one of {', '.join(known)}")
     # what its numbers are numbers of, and what of them is judged, a profile says itself
@@ -172,11 +171,10 @@ def _read(name: str) -> tuple[Path, dict[str, Any]]:
 
 def _laid_over(base: dict[str, Any], change: dict[str, Any]) -> dict[str, Any]:
     """Sections are merged key by key; what is trained is replaced as a whole."""
-    merged = {
-        k: _laid_over(base[k], v) if isinstance(v, dict) and isinstance(base.get(k), dict) and k != "train" else v
-        for k, v in change.items()
-    }
-    return base | merged
+    for key, value in change.items():
+        sections = key != "train" and isinstance(value, dict) and isinstance(base.get(key), dict)
+        base = base | {key: _laid_over(base[key], value) if sections else value}
+    return base
 
 
 def _mistake(error: Any) -> str:

@@ -48,11 +48,7 @@ def assumptions(loss: Loss) -> list[tuple[str, str, str]]:
 
 
 def make_report(run: Run) -> Report:
-    """Gather a run's tables, figures and stamps, and judge as far as its profile says.
-
-    Raises:
-        InputError: a table is missing; the message names the notebook that makes it.
-    """
+    """A run's tables, figures and stamps, judged as far as its profile says; of a missing table an `InputError` names the notebook."""
     folder = run.results / "tables"
     for number, name in zip(("05", "06", "07", "08", "09", "10", "11", "12"), TITLES):
         run.require(folder / f"{name}.csv", f"{number}_table_{name}")

@@ -44,8 +44,7 @@ ROOTS = {
 def add_roots(parser: argparse.ArgumentParser) -> None:
     """Add the options that say where the data are."""
     for name, meaning in ROOTS.items():
-        kind = "FILE" if name == "test_list" else "DIR"
-        parser.add_argument(f"--{name.replace('_', '-')}", default="", metavar=kind, help=meaning)
+        parser.add_argument(f"--{name.replace('_', '-')}", default="", metavar="FILE" if name == "test_list" else "DIR", help=meaning)
     parser.add_argument("--allow-leak", action="store_true", help="score even drives that were trained on, and mark the results")
 
 
@@ -56,8 +55,7 @@ def check_roots(given: Mapping[str, str]) -> None:
     from dualdepth.data.make3d import find_pairs
     from dualdepth.data.odometry import check_odometry_root
 
-    checks = (check_root, read_frame_list, check_odometry_root, find_pairs, check_labels_root)
-    for name, check in zip(ROOTS, checks):
+    for name, check in zip(ROOTS, (check_root, read_frame_list, check_odometry_root, find_pairs, check_labels_root)):
         if given.get(name):
             check(given[name])
 
@@ -132,11 +130,7 @@ class Run:
         return [*weights, self.prepared / "test_frames.json", self.prepared / "ground_truth.npz"]
 
     def require(self, path: Path, notebook: str) -> Path:
-        """`path`, checked to be there.
-
-        Raises:
-            InputError: it is missing; the message names the notebook that makes it.
-        """
+        """`path`, checked to be there; where it is missing, an `InputError` names the notebook that makes it."""
         if not path.exists():
             raise InputError(f"{path.relative_to(self.root)} is missing: run notebook {notebook} with profile {self.profile.name} first")
         return path
@@ -225,11 +219,7 @@ class Sources(NamedTuple):
 
     @classmethod
     def load(cls, run: Run) -> "Sources":
-        """Read what notebook 01 wrote.
-
-        Raises:
-            InputError: it is not there, or is something else.
-        """
+        """Read what notebook 01 wrote; an `InputError` if it is not there, or is something else."""
         path = run.require(run.sources, "01_download_data")
         with reading(path, "run notebook 01_download_data again"):
             return TypeAdapter(cls).validate_json(path.read_bytes())

@@ -218,6 +218,9 @@ def test_the_card_of_weights_that_a_link_points_to_is_found(photos, run, weights
     assert run(photos / "a.png", "--weights", tmp_path / "best.safetensors") == 0
 
 
+NUMBERS = {"--scale": ("0", "nan", "inf"), "--focal": ("0", "nan", "inf"), "--fov": ("0", "180"), "--batch-size": ("0",)}
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -225,13 +228,7 @@ def test_the_card_of_weights_that_a_link_points_to_is_found(photos, run, weights
         (["{photos}", "--weights", "gone.safetensors"], "gone.safetensors: "),
         (["{photos}", "--weights", "gone"], "gone: no such weights; give "),  # the hub, whose names are owner/name, is not asked
         (["{photos}", "--save", "colour,gif"], "'gif'"),
-        *(
-            (["{photos}", option, value], f"{option}: {value} must be")
-            for option in ("--scale", "--focal")
-            for value in ("0", "nan", "inf")
-        ),
-        *((["{photos}", "--fov", value], f"--fov: {value} must be") for value in ("0", "180")),
-        (["{photos}", "--batch-size", "0"], "--batch-size: 0 must be"),
+        *((["{photos}", option, value], f"{option}: {value} must be") for option, wrong in NUMBERS.items() for value in wrong),
         (["{photos}", "--intrinsics", "1", "0", "5", "5"], "--intrinsics [1.0, 0.0, 5.0, 5.0]: the focal lengths"),
         (["{photos}", "--intrinsics", "1", "1", "inf", "5"], "--intrinsics: inf must be"),
         (["{photos}", "--device", "tpu"], "'tpu'"),

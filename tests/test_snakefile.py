@@ -65,10 +65,7 @@ def test_it_runs_everything_once_then_only_what_a_change_makes_stale(chain):
 
 @pytest.mark.parametrize(
     ("config", "change", "trained"),
-    [
-        (["seeds=0"], ("about:", "seeds: [0, 1, 2]\nabout:"), 3),
-        ([], ("train: {lr: , dual: , resnet18: }", "train: {lr: }"), 1),
-    ],
+    [(["seeds=0"], ("about:", "seeds: [0, 1, 2]\nabout:"), 3), ([], ("train: {lr: , dual: , resnet18: }", "train: {lr: }"), 1)],
     ids=["seed 0 of a profile of several", "stage 1 alone"],
 )
 def test_a_part_of_the_trainings_has_all_tables(fresh, config, change, trained):

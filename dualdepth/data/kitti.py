@@ -194,11 +194,7 @@ def read_calibration(path: str | Path) -> dict[str, np.ndarray]:
 
 
 def calibration_entry(values: dict[str, np.ndarray], key: str, size: int, path: str | Path) -> np.ndarray:
-    """The entry `key` of a calibration with `size` finite numbers.
-
-    Raises:
-        InputError: it is missing, of another length or not finite; the message names `path` and `key`.
-    """
+    """The entry `key` of a calibration, `size` finite numbers; where it is missing or bad, an `InputError` names `path` and `key`."""
     entry = values.get(key)
     if entry is None:
         raise InputError(f"{path}: has no {key}; known are {', '.join(list(values)[:12])}")

@@ -94,11 +94,7 @@ def read_photo(path: str | Path) -> np.ndarray:
 
 
 def is_truncated(path: str | Path) -> bool:
-    """Whether a JPEG lacks its end; False for what is no JPEG.
-
-    Raises:
-        InputError: it cannot be read.
-    """
+    """Whether a JPEG lacks its end; False for what is no JPEG, an `InputError` for what cannot be read."""
     with reading(path, AGAIN):
         data = Path(path).read_bytes()
     # the mark of the end never stands within a picture; that of a preview may stand at the file's beginning

@@ -43,11 +43,7 @@ def sequence_of(entry: str) -> tuple[str, str]:
 
 
 def frame_files(root: str | Path, entry: str) -> dict[int, Path]:
-    """Image files of a sequence by frame number, in order.
-
-    Raises:
-        InputError: there are none; the message names the cameras that are there.
-    """
+    """Image files of a sequence by frame number, in order; where there are none, an `InputError` names the cameras that are there."""
     name, camera = sequence_of(entry)
     folder = Path(root) / "sequences" / name / camera
     files = [folder / name for name in os.listdir(folder)] if folder.is_dir() else []

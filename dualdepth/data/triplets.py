@@ -119,11 +119,7 @@ def write_triplets(path: str | Path, root: str | Path, triplets: Iterable[Triple
 
 
 def load_triplets(path: str | Path, root: str | Path) -> list[Triplet]:
-    """What `write_triplets` wrote, in its order, with full paths.
-
-    Raises:
-        InputError: the file is missing or not such a CSV.
-    """
+    """What `write_triplets` wrote, in its order, with full paths; an `InputError` if the file is missing or not such a CSV."""
     found = []
     with reading(path, "run notebook 02_prepare_data"), open(path, newline="", encoding="utf-8") as file:
         for row in csv.DictReader(file):

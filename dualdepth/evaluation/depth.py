@@ -27,11 +27,7 @@ CROPS = {
 
 @dataclass(frozen=True)
 class Protocol:
-    """How predictions are scored; the defaults are the field's.
-
-    Raises:
-        InputError: an unknown choice, or depths that are not 0 < min_depth < max_depth.
-    """
+    """How predictions are scored; the defaults are the field's. An `InputError` for other choices, or not 0 < min_depth < max_depth."""
 
     kind: Literal["depth", "disparity"] = "depth"  # What the predictions are; disparity is inverse depth, of any scale.
     resize: Literal["depth", "disparity"] = "depth"

@@ -53,11 +53,7 @@ class Scored:
 
     @functools.cached_property
     def paths(self) -> list[Path]:
-        """Image files.
-
-        Raises:
-            InputError: one is gone since notebook 02.
-        """
+        """Image files; an `InputError` if one is gone since notebook 02."""
         root = Sources.load(self.run).kitti_root
         found = [image_path(root, frame) for frame in self.frames]
         if None in found:
@@ -100,11 +96,7 @@ class Trained:
 
     @functools.cached_property
     def weights(self) -> Path:
-        """The weights of the last epoch.
-
-        Raises:
-            InputError: they are missing; the message names the notebook that makes them.
-        """
+        """The weights of the last epoch; where they are missing, an `InputError` names the notebook that makes them."""
         notebook = "03_train_lr" if self.stage == "lr" else "04_train_hr"
         return self.run.require(self.run.weights(self.variant, self.seed), f"{notebook}, variant {self.variant}, seed {self.seed},")
 

@@ -39,11 +39,7 @@ def triplet_snippets(motions: np.ndarray) -> np.ndarray:
 
 
 def sequence_frames(run: Run, entry: str) -> dict[int, Path]:
-    """Image files of a test sequence by frame number.
-
-    Raises:
-        InputError: no images, or a gap between them.
-    """
+    """Image files of a test sequence by frame number; an `InputError` if there are none, or a gap between them."""
     files = frame_files(Sources.load(run).odometry_root, entry)
     for before, number in pairwise(files):
         if number != before + 1:
@@ -52,11 +48,7 @@ def sequence_frames(run: Run, entry: str) -> dict[int, Path]:
 
 
 def true_trajectory(run: Run, entry: str) -> Trajectory:
-    """True poses of the frames of a test sequence that are there.
-
-    Raises:
-        InputError: the pose file is missing, bad, or shorter than the sequence.
-    """
+    """True poses of a test sequence's frames that are there; an `InputError` if the file is missing, bad, or shorter than the sequence."""
     path, numbers = poses_path(Sources.load(run).odometry_root, entry), list(sequence_frames(run, entry))
     poses = read_trajectory(path).poses
     if numbers[-1] >= len(poses):

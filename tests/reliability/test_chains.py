@@ -85,10 +85,7 @@ def test_killed_trainings_of_both_stages_end_with_the_same_weights(tmp_path):
 
 @pytest.mark.parametrize(
     "send",
-    [
-        pytest.param(os.killpg, id="its group with loader workers"),
-        pytest.param(os.kill, marks=pytest.mark.soak, id="its own process"),
-    ],
+    [pytest.param(os.killpg, id="its group with loader workers"), pytest.param(os.kill, marks=pytest.mark.soak, id="its own process")],
 )
 def test_sigterm_ends_a_training_with_a_checkpoint_and_one_line(send, tmp_path, counted):
     run = kills.make_checkout(tmp_path, lr={"batch_size": 2, "epochs": 200})

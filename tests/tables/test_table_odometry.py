@@ -17,7 +17,6 @@ from dualdepth.geometry import pose_matrix
 from dualdepth.model import predict_poses
 from dualdepth.networks.architecture import Architecture
 from dualdepth.networks.pose_net import PoseNet
-from dualdepth.profile import load_profile
 from dualdepth.run import Run, Sources
 from dualdepth.tables import odometry as table_module
 from dualdepth.tables.odometry import odometry_claims, odometry_scores, odometry_table, trajectory_table
@@ -252,5 +251,5 @@ def test_a_pose_net_that_turns_half_as_far_and_always_to_the_left(run, monkeypat
 
 def test_in_the_synthetic_world_the_depth_tables_pose_nets_are_scored(run):
     assert run.profile.pose_variants == ("odometry_lr", "odometry_dual")
-    assert load_profile("tiny").pose_variants == ("lr", "dual")
-    assert table_module.sequences(Run("tiny")) == ["09", "10"]
+    world = Run("tiny")
+    assert (world.profile.pose_variants, table_module.sequences(world)) == (("lr", "dual"), ["09", "10"])

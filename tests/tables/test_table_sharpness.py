@@ -34,16 +34,16 @@ def scene(image):
 
 
 SCENES = [scene(image) for image in range(2)]
+EXACT = [np.where(depth > 0, depth, 80) for depth, _ in SCENES]
+SMALL = [cv2.resize(depth, (64, 64), interpolation=cv2.INTER_AREA) for depth in EXACT]
 
 
 @pytest.fixture
 def run(make_run, give, give_maps, monkeypatch):
     """LR-Net's maps are the exact ones seen at a third of the size, the dual networks' are exact; a later seed is a little off."""
-    exact = [np.where(depth > 0, depth, 80) for depth, _ in SCENES]
-    small = np.stack([1 / cv2.resize(depth, (64, 64), interpolation=cv2.INTER_AREA) for depth in exact])
-    maps = {"lr": small, "dual": 1 / np.stack(exact), "dual_no_sa": 1 / np.stack(exact)}
+    maps = {"lr": 1 / np.stack(SMALL), "dual": 1 / np.stack(EXACT), "dual_no_sa": 1 / np.stack(EXACT)}
     give(lambda variant, seed: pd.DataFrame({"scale_ratio": 0.5}, index=pd.RangeIndex(2, name="image")))
-    give_maps(lambda variant, seed: maps[variant] / (2 + seed), exact)
+    give_maps(lambda variant, seed: maps[variant] / (2 + seed), EXACT)
     monkeypatch.setattr(Scored, "exact_depth", lambda self, image: SCENES[image][0])
     monkeypatch.setattr(Scored, "label_map", lambda self, image: SCENES[image][1])
     return make_run("own", text=TEXT)
@@ -70,14 +70,13 @@ def test_every_reading_has_a_row_for_each_network_below_the_papers_with_their_ra
 
 def test_a_row_is_tenengrad_of_the_scaled_or_normalised_map_at_its_size_over_images_and_seeds(run):
     table = table_of(run, [0, 1]).query("source == 'measured'").set_index(["map", "size", "threshold", "method"])["tenengrad"]
-    small = [cv2.resize(np.where(d > 0, d, 80), (64, 64), interpolation=cv2.INTER_AREA) for d, _ in SCENES]
     # at the second seed depth is half as far again, and clamped at 80 m
-    sizes = {"native": small, "common": [resize_bilinear(d, (192, 192)) for d in small]}
+    sizes = {"native": SMALL, "common": [resize_bilinear(d, (192, 192)) for d in SMALL]}
     for size, maps in sizes.items():
         depths = [np.minimum(depth * factor, 80) for depth in maps for factor in (1, 1.5)]
         for t, expected in zip(THRESHOLDS["depth, m"], np.mean([tenengrad(d, THRESHOLDS["depth, m"]) for d in depths], axis=0)):
             assert table["depth, m", size, t, "w/o HR-Net"] == pytest.approx(expected, rel=1e-5)
-    inverses = [resize_bilinear(1 / d, (192, 192)) for d in small]
+    inverses = [resize_bilinear(1 / d, (192, 192)) for d in SMALL]
     kind = "inverse depth / its mean"
     expected = np.mean([tenengrad(i / i.mean(), [0.5]) for i in inverses])
     assert table[kind, "common", 0.5, "w/o HR-Net"] == pytest.approx(expected, rel=1e-5)  # the seeds' scale is gone
@@ -155,9 +154,7 @@ def test_exact_maps_beat_blurred_ones_at_boundaries_and_on_poles(run):
 
 
 def test_boundaries_are_scored_with_the_sky_at_the_farthest_depth(run):
-    depth, _ = SCENES[0]
-    small = cv2.resize(np.where(depth > 0, depth, 80), (64, 64), interpolation=cv2.INTER_AREA)
-    expected = boundary_scores(resize_bilinear(small, (192, 192)), np.where(depth > 0, depth, 80))
+    expected = boundary_scores(resize_bilinear(SMALL[0], (192, 192)), EXACT[0])
     row = detail_scores(run, [0])[0].of("lr").loc[(0, 0)]
     assert row.to_dict() == pytest.approx(expected, rel=1e-6)
     assert 0 < row["lateral_f1"] < 1
@@ -194,10 +191,8 @@ def test_exact_depth_at_each_size_is_what_that_size_could_reach(run):
     assert list(table.index[3:]) == ["exact depth at 64x64", "exact depth at 192x192"]
     own, shrunk = table.loc["exact depth at 192x192"], table.loc["exact depth at 64x64"]
     expected = []
-    for depth, _ in SCENES:
-        exact = np.where(depth > 0, depth, 80)
-        small = exact.shape[0] // 3  # means of inverse depth over 3x3 pixels
-        inverse = (1 / exact).reshape(small, 3, small, 3).mean(axis=(1, 3))
+    for exact in EXACT:
+        inverse = (1 / exact).reshape(64, 3, 64, 3).mean(axis=(1, 3))  # over 3x3 pixels
         expected.append(boundary_scores(resize_bilinear(1 / inverse, exact.shape), exact))
     for column in ("f1", "lateral_precision", "lateral_recall", "lateral_f1"):
         assert own[f"boundary_{column}"] == pytest.approx(1)

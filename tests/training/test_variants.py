@@ -257,10 +257,7 @@ SPOILT = {
     ),
     "another network": (lambda run: change_card(run, network="dual"), f"{WEIGHTS}: its card has network 'dual' .*; train lr again"),
     "another backbone": (lambda run: change_card(run, encoder="x"), f"{WEIGHTS}: its card has encoder 'x' instead of .*; train lr again"),
-    "another size": (
-        lambda run: change_card(run, hr_size=[192, 288]),
-        rf"{WEIGHTS}: its card has hr_size \[192, 288\] instead of",
-    ),
+    "another size": (lambda run: change_card(run, hr_size=[192, 288]), rf"{WEIGHTS}: its card has hr_size \[192, 288\] instead of"),
     "an incomplete card": (lambda run: change_card(run, "drives"), f"{WEIGHTS}: its card has no drives; train lr again"),
     "a foreign card": (lambda run: run.weights("lr", 0).with_suffix(".json").write_text('{"license": "MIT"}'), f"{WEIGHTS}: .*; .+$"),
     "no triplets": (lambda run: run.index("lr").unlink(), r"^work/own/prepared/triplets\.csv is missing: run notebook 02_prepare_data"),
