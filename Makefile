@@ -74,7 +74,7 @@ lab: env ## JupyterLab on this machine's own address
 bench: env ## speed of loader, training step, inference
 	python -m tools.bench
 
-bench-gpu: ## on a GPU: speed, memory, repeatability of both stages, hours of the paper's run; uses the Python at hand, with torch and kornia in it
+bench-gpu: ## on a GPU: speed, memory, repeatability of both stages, hours of the paper's run; with .venv if it is there, else python3's packages
 	python3 -m tools.bench_gpu
 
 browser: ## install Debian's Chromium, for the tests that look at pages

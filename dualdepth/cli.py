@@ -303,7 +303,7 @@ def _predict(arguments: argparse.Namespace) -> int:
     keep_freed_memory()
     model = load(arguments.weights or RELEASED, arguments.device, arguments.precision)
     check_writable(arguments.out)
-    if arguments.weights and RELEASED not in (Path(arguments.weights), Path(arguments.weights).parent):  # which say it themselves
+    if arguments.weights and RELEASED not in (Path(arguments.weights), Path(arguments.weights).parent):  # for which `load` has printed it
         print(f"{arguments.weights}: {model.about}", flush=True)
     style = Style(model.about, arguments.scale, arguments.intrinsics and tuple(arguments.intrinsics), arguments.focal, arguments.fov)
     options = {"kinds": kinds, "batch_size": arguments.batch_size, "overwrite": arguments.overwrite}

@@ -45,7 +45,7 @@ class Box(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> Tensor:
-        """Each pixel is in the windows around it, and one beside the border once more in that of the border."""
+        """A pixel counts in the windows around it, and one next to the border twice in the border's window, by the mirror."""
         for dim in (-1, -2):
             size, whole = gradient.shape[dim], gradient.clone()
             whole.narrow(dim, 1, size - 1).add_(gradient.narrow(dim, 0, size - 1))

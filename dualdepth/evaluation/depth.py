@@ -27,7 +27,7 @@ CROPS = {
 
 @dataclass(frozen=True)
 class Protocol:
-    """How predictions are scored; the defaults are the field's. An `InputError` for other choices, or not 0 < min_depth < max_depth."""
+    """How predictions are scored; the defaults are the field's. An `InputError` unless they are known and 0 < min_depth < max_depth."""
 
     kind: Literal["depth", "disparity"] = "depth"  # What the predictions are; disparity is inverse depth, of any scale.
     resize: Literal["depth", "disparity"] = "depth"

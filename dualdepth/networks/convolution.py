@@ -13,7 +13,7 @@ class Conv2d(nn.Conv2d):
 
     def forward(self, x: Tensor) -> Tensor:
         """Maps of (B, C, H, W), in the type that autocast gives them."""
-        if x.device.type != "cpu" or not torch.is_autocast_enabled("cpu"):
+        if x.device.type != "cpu" or x.dtype == torch.float64 or not torch.is_autocast_enabled("cpu"):
             return super().forward(x)
         narrow = torch.get_autocast_dtype("cpu")
         dtype = torch.float32 if self.groups == self.in_channels > 1 else narrow
@@ -28,9 +28,9 @@ def conv3x3(inputs: int, outputs: int, stride: int = 1, bias: bool = True) -> Co
 
 
 def reflect_padding(module: nn.Module) -> None:
-    """Replace zero padding by reflection in every convolution of `module` that has its padding as numbers."""
+    """Replace zero padding by reflection in every convolution of `module` that has its padding as numbers; it becomes a `Conv2d`."""
     for child in module.modules():
         if isinstance(child, nn.Conv2d) and any(child._reversed_padding_repeated_twice) and not isinstance(child.padding, str):
             child.padding_mode = "reflect"
             if type(child) is nn.Conv2d:
-                child.__class__ = Conv2d  # the same weights; another library's model is built with its own kind
+                child.__class__ = Conv2d  # with the weights that it has

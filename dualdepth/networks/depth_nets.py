@@ -36,11 +36,7 @@ class HREncoder(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.stages = nn.ModuleList(
-            nn.Sequential(
-                *(conv3x3(before, width, 2, bias=False), nn.BatchNorm2d(width), nn.ELU()),
-                *(conv3x3(width, width, bias=False), nn.BatchNorm2d(width), nn.ELU()),
-            )
-            for before, width in zip((3, *HR_WIDTHS), HR_WIDTHS)
+            nn.Sequential(*_block(before, width, 2), *_block(width, width, 1)) for before, width in zip((3, *HR_WIDTHS), HR_WIDTHS)
         )
 
     def forward(self, image: Tensor) -> list[Tensor]:
@@ -124,3 +120,7 @@ class DualNet(nn.Module):
             start = (F.interpolate(floored, x.shape[-2:], mode="bilinear", align_corners=False) for x in output.logits)
             output = output._replace(logits=[x + s for x, s in zip(output.logits, start)])
         return (output, low_output) if with_lr_depth else output
+
+
+def _block(width_in: int, width: int, stride: int) -> list[nn.Module]:
+    return [conv3x3(width_in, width, stride, bias=False), nn.BatchNorm2d(width), nn.ELU()]

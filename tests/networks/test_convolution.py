@@ -5,10 +5,11 @@ import torch
 from torch import nn
 
 from dualdepth.networks.convolution import Conv2d, conv3x3
+from dualdepth.networks.depth_nets import LRNet
 from dualdepth.networks.encoders import make_encoder
 
 
-@pytest.mark.parametrize("layer", [conv3x3(4, 6), conv3x3(4, 6, stride=2, bias=False), Conv2d(4, 4, 3, groups=4), nn.Conv2d(4, 6, 3)])
+@pytest.mark.parametrize("layer", [conv3x3(4, 6), conv3x3(4, 6, stride=2, bias=False), Conv2d(4, 4, 3, groups=4)])
 def test_under_autocast_values_and_gradients_are_those_of_float32_but_for_rounding(layer):
     x = torch.rand(2, 4, 8, 10).bfloat16().float().requires_grad_()
     expected = layer(x)
@@ -19,6 +20,11 @@ def test_under_autocast_values_and_gradients_are_those_of_float32_but_for_roundi
     torch.testing.assert_close(found.float(), expected, rtol=0.02, atol=0.02)
     for slope, other in zip(slopes, torch.autograd.grad(found.float().square().sum(), [x, *layer.parameters()])):
         torch.testing.assert_close(other, slope, rtol=0.02, atol=0.02 * float(slope.abs().max()))
+
+
+def test_every_mirrored_border_is_mirrored_in_the_narrow_type():
+    layers = [layer for layer in LRNet("resnet18").modules() if isinstance(layer, nn.Conv2d) and layer.padding_mode == "reflect"]
+    assert len(layers) > 30 and {type(layer) for layer in layers} == {Conv2d}
 
 
 @pytest.mark.parametrize("name", ["efficientnet_lite0", "mobilenet_v2"])

@@ -114,6 +114,7 @@ def test_the_card_says_which_network_it_is_what_it_saw_and_what_it_started_from(
         "pretrained": False,
         "drives": [DRIVE, OTHER],  # stage 1's too
         "starts_from": {"variant": "lr", "seed": 0, "steps": 2, "sha256": file_digest(trained.weights("lr", 0))},
+        "frozen_pose": False,
         "seed": 0,
         "recipe": trained.recipe("dual", 0),
         "steps": STEPS,
