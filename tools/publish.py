@@ -17,7 +17,7 @@ from dualdepth.training.weights import HUB_CARD, save_weights
 PICTURE_WIDTH = 900
 """Pixels that a picture in a published notebook has at most."""
 LIMITS = (
-    "A street seen from a car comes out soft but right in its parts, without poles and sharp edges; upright photos, people close by and"
+    "In a street seen from a car, road, facades, near objects and the open distance can be told apart, most poles, cars farther off and outlines cannot; upright photos, people close by and"
     " rooms come out wrong."
 )
 LICENCE = "CC BY-NC-SA 3.0, as KITTI's images from which they were learned, for non-commercial research"
