@@ -17,8 +17,8 @@ from dualdepth.training.weights import HUB_CARD, save_weights
 PICTURE_WIDTH = 900
 """Pixels that a picture in a published notebook has at most."""
 LIMITS = (
-    "In a street seen from a car, road, facades, near objects and the open distance can be told apart, most poles, cars farther off and outlines cannot; upright photos, people close by and"
-    " rooms come out wrong."
+    "In a street seen from a car, road, facades, near objects and the open distance can be told apart, most poles, cars farther off and"
+    " outlines cannot; upright photos, people close by and rooms come out wrong."
 )
 LICENCE = "CC BY-NC-SA 3.0, as KITTI's images from which they were learned, for non-commercial research"
 
