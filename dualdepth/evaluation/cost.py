@@ -2,6 +2,7 @@
 
 import copy
 import itertools
+import os
 import statistics
 import timeit
 from typing import Any, NamedTuple
@@ -47,6 +48,7 @@ def latency(model: torch.nn.Module, *inputs: torch.Tensor, repeats: int = 10, pr
         precision: `bf16` runs under autocast, with the weights in float32.
     """
     device = inputs[0].device
+    os.environ.setdefault("KINETO_LOG_LEVEL", "99")  # torch's profiler would print when it starts and stops
 
     def run() -> None:
         model(*inputs, **options)
