@@ -24,11 +24,9 @@ def test_a_step_is_timed_by_its_parts(name, encoder):
 @pytest.mark.slow
 def test_a_verdict_is_found_on_the_device_at_hand(monkeypatch, tmp_path, encoder):
     monkeypatch.setattr(bench_gpu, "TRIALS", [trial for trial in bench_gpu.TRIALS if trial.batch == 4 and not trial.compiled])
-    profile = tmp_path / "own.yaml"
-    profile.write_text(f"extends: paper\nabout: tiny\ndata: {{hr_size: [192, 288]}}\ntraining: {{encoder: {encoder}}}\n")
-    sizes = ["--profile", str(profile), "--device", "cpu", "--steps", "3", "--workers", "1"]
-    assert bench_gpu.main([*sizes, "--out", str(tmp_path / "out")]) == 0
+    (tmp_path / "own.yaml").write_text(f"extends: paper\nabout: a\ndata: {{hr_size: [192, 288]}}\ntraining: {{encoder: {encoder}}}\n")
+    options = ["--device", "cpu", "--steps", "3", "--workers", "1", "--profile", str(tmp_path / "own.yaml")]
+    assert bench_gpu.main([*options, "--out", str(tmp_path / "out")]) == 0
     found = json.loads((tmp_path / "out.json").read_text())
     assert not [row for row in found["rows"] if "error" in row] and found["verdicts"]["hr: two runs equal to the bit"]
-    hours = found["verdicts"]["lr: hours of own on 39810 triplets"]
-    assert hours == pytest.approx(398_080 * found["rows"][0]["step_s"] / 3600)
+    assert found["verdicts"]["lr: hours of own on 39810 triplets"] == pytest.approx(398_080 * found["rows"][0]["step_s"] / 3600)

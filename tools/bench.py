@@ -25,12 +25,13 @@ from dualdepth.data.triplets import Triplet
 from dualdepth.device import Precision, default_device, device_name, has_bf16, keep_freed_memory
 from dualdepth.evaluation.cost import latency
 from dualdepth.files import write_text
-from dualdepth.geometry import low_resolution, to_unit
+from dualdepth.geometry import to_unit
 from dualdepth.networks.architecture import Architecture
-from dualdepth.networks.depth_nets import DualNet, LRNet
+from dualdepth.networks.depth_nets import LRNet
 from dualdepth.networks.pose_net import PoseNet
 from dualdepth.profile import load_profile
 from dualdepth.settings import Training
+from dualdepth.tables.backbone import let_see
 from dualdepth.training.stages import Stage
 
 
@@ -49,22 +50,6 @@ def write_frames(folder: Path) -> Triplet:
 def make_net(name: str, encoder: str = "resnet50") -> nn.Module:
     """A depth network for high resolution with new weights: `dual` with an encoder in it, or an encoder's name."""
     return (Architecture(network="dual", encoder=encoder) if name == "dual" else Architecture(network="single", encoder=name)).build()
-
-
-def let_see(net: nn.Module, image: torch.Tensor) -> nn.Module:
-    """Begin a dual network as a training does, with the statistics of an image (B, 3, H, W) in LR-Net's batch norm; other networks stay.
-
-    SA-Attention is cubic in LR-Net's features: of a network that saw nothing they run over, and ELU takes five times as long.
-    """
-    if isinstance(net, DualNet):
-        for layer in net.lr_net.modules():
-            if isinstance(layer, nn.BatchNorm2d):
-                layer.momentum = 1.0
-        with torch.no_grad():
-            net.lr_net.train()(low_resolution(image))
-        net.lr_net.eval()
-        net.begin(image)
-    return net
 
 
 def median_step(name: str, training: Training, batch: dict[str, Any], device: torch.device, repeats: int) -> dict[str, float]:

@@ -31,6 +31,7 @@ from dualdepth.geometry import to_unit
 from dualdepth.networks.depth_nets import LRNet
 from dualdepth.networks.pose_net import PoseNet
 from dualdepth.profile import Profile, load_profile
+from dualdepth.tables.backbone import let_see
 from dualdepth.training.loop import total_steps
 from dualdepth.training.stages import Stage
 from tools.bench import make_net, write_frames
@@ -129,8 +130,9 @@ class Bench:
 
     def inference(self, name: str, precision: Any) -> dict[str, Any]:
         """Time and memory of one image."""
-        net = make_net(name, self.profile.training.encoder).to(self.device, memory_format=torch.channels_last)
-        found = latency(net, torch.rand(1, 3, *self.profile.data.hr_size, device=self.device), repeats=20, precision=precision)
+        image = torch.rand(1, 3, *self.profile.data.hr_size)
+        net = let_see(make_net(name, self.profile.training.encoder), image).to(self.device, memory_format=torch.channels_last)
+        found = latency(net, image.to(self.device), repeats=20, precision=precision)
         return {"inference": name, "precision": precision} | found._asdict()
 
     def run(self, workers: int) -> Iterator[dict[str, Any]]:

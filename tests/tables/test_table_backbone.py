@@ -9,8 +9,9 @@ import torch
 from dualdepth import paper
 from dualdepth.evaluation.cost import Latency, count
 from dualdepth.networks.architecture import Architecture
+from dualdepth.networks.attention import STARTING_RMS
 from dualdepth.tables import backbone
-from dualdepth.tables.backbone import NETWORKS, NO_WEIGHTS, WITHOUT_DECODER, backbone_scores, backbone_table, cost_row
+from dualdepth.tables.backbone import NETWORKS, NO_WEIGHTS, WITHOUT_DECODER, backbone_scores, backbone_table, cost_row, let_see
 from dualdepth.tables.rows import claims_table
 
 PRETRAINED = "training: {{pretrained: {}}}\n"
@@ -28,6 +29,7 @@ def latencies(monkeypatch):
 
     monkeypatch.setattr(backbone, "latency", latency)
     monkeypatch.setattr(backbone, "default_device", lambda: "meta")
+    monkeypatch.setattr(backbone, "let_see", lambda net, image: net)
     monkeypatch.setattr(backbone, "has_bf16", lambda device: True)
     monkeypatch.setattr(backbone, "device_name", lambda: "a device, 2 threads")
     monkeypatch.setattr(torch, "autocast", lambda *_, **__: contextlib.nullcontext())  # it knows no tensors without values
@@ -55,8 +57,13 @@ def test_time_and_memory_are_of_the_network_that_the_row_names_at_the_papers_siz
     row = cost_row(name, 4)
     size, params = (128, 416) if name.startswith("LR-Net") else (384, 1248), round(1e6 * row["params_m"])
     assert latencies == [(size, params, 4, "float32"), (size, params, 4, "bf16")]
-    assert (row["latency_ms"], row["latency_ms_bf16"], row["peak_mb"], row["peak_mb_bf16"]) == (7, 3, 100, 60)
-    assert row["device"] == "a device, 2 threads"
+    times = [row[name] for name in ("latency_ms", "latency_ms_bf16", "peak_mb", "peak_mb_bf16")]
+    assert times == [7, 3, 100, 60] and row["device"] == "a device, 2 threads"
+
+
+def test_a_network_with_new_weights_is_timed_after_it_has_seen_an_image():
+    net = let_see(Architecture(network="dual", encoder="resnet18").build(), torch.rand(1, 3, 192, 288))
+    assert float(net.attention.scale) == pytest.approx(STARTING_RMS, rel=0.01) and not net.training
 
 
 def test_without_lr_nets_decoder_its_parameters_and_operations_are_missing(latencies):
