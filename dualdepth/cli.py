@@ -181,12 +181,12 @@ def _number(kind: type, above: float = 0, below: float = math.inf) -> Callable[[
 
 def _evaluate_depth(arguments: argparse.Namespace) -> None:
     """Score depth predictions by the field's protocol (Eigen split) and print the means over images."""
-    from tqdm import tqdm
-
     from dualdepth.data.depth_maps import at_places, load_ground_truth, places_of
     from dualdepth.data.kitti import read_frame_list
+    from dualdepth.device import keep_freed_memory
     from dualdepth.evaluation.depth import Protocol, evaluate, load_predictions, summary
 
+    keep_freed_memory()
     protocol = {field.name: getattr(arguments, field.name) for field in fields(Protocol)}
     truths = load_ground_truth(arguments.gt, allow_pickle=arguments.allow_pickle)
     frames = read_frame_list(arguments.list) if arguments.list and arguments.weights else []
@@ -194,9 +194,7 @@ def _evaluate_depth(arguments: argparse.Namespace) -> None:
     leak = _leak_of(arguments, arguments.list, "--list", lambda _: sorted({frames[place].drive for place in places}))
     predictions = load_predictions(arguments.pred, allow_pickle=arguments.allow_pickle)
     predictions = at_places(predictions, places, len(frames) or truths.listed)
-    # shown in a terminal only: a bar in a pipe would break the one-line error
-    shown = tqdm(truths, "scoring", unit="image", disable=None, leave=False)
-    _report(summary(evaluate(predictions, shown, name=arguments.pred, **protocol)) | leak, arguments.json)
+    _report(summary(evaluate(predictions, truths, name=arguments.pred, **protocol)) | leak, arguments.json)
 
 
 def _evaluate_odometry(arguments: argparse.Namespace) -> None:

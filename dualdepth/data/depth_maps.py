@@ -51,7 +51,9 @@ class DepthMaps(Sequence):
     def __init__(self, path: Path, archive: "np.lib.npyio.NpzFile") -> None:
         self.path, self.names, self._archive = path, list(archive.files), archive
         self.listed = int(archive.zip.comment[:9]) if archive.zip.comment.isdigit() else 0
-        self._stacked = None
+        self._stacked, announced = None, max(info.file_size for info in archive.zip.infolist())
+        if announced > LARGEST:
+            raise InputError(f"{path}: refused, since it unpacks to {announced / 1e9:.1f} GB; {MEND}")
         if self.names == [FIELD_KEY]:
             values = self._member(FIELD_KEY)
             if values.dtype == object or values.ndim == 3:
@@ -68,9 +70,6 @@ class DepthMaps(Sequence):
         return depth
 
     def _member(self, name: str) -> np.ndarray:
-        announced = max((info.file_size for info in self._archive.zip.infolist()), default=0)
-        if announced > LARGEST:
-            raise InputError(f"{self.path}: refused, since it unpacks to {announced / 1e9:.1f} GB; {MEND}")
         with reading(f"{self.path}: {name}", f"{MEND}; of a pickled file whose source you trust pass --allow-pickle"):
             return np.asarray(self._archive[name])  # of a member that is no array, its bytes
 

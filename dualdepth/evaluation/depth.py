@@ -5,7 +5,9 @@ plain mean over images. Values are compared in float64.
 """
 
 import math
-from collections.abc import Callable, Collection, Sequence
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args, get_type_hints
@@ -13,6 +15,7 @@ from typing import Any, Literal, NamedTuple, get_args, get_type_hints
 import cv2
 import numpy as np
 import pandas as pd
+from tqdm import tqdm
 
 from dualdepth.errors import InputError, reading
 
@@ -140,7 +143,7 @@ def scale_and_clamp(ground_truth: np.ndarray, prediction: np.ndarray, protocol: 
     return np.clip(prediction * ratio, protocol.min_depth, protocol.max_depth), ratio
 
 
-def evaluate(predictions: Sequence[np.ndarray] | np.ndarray, ground_truths: Collection[np.ndarray], **options: Any) -> pd.DataFrame:
+def evaluate(predictions: Sequence[np.ndarray] | np.ndarray, ground_truths: Sequence[np.ndarray], **options: Any) -> pd.DataFrame:
     """`evaluate_parts` of all valid pixels, with its arguments and errors: one row per scored image, indexed by its place (`image`)."""
     return evaluate_parts(predictions, ground_truths, whole, **options).droplevel("part")
 
@@ -152,7 +155,7 @@ def whole(_: int, pixels: Pixels) -> dict[str, np.ndarray]:
 
 def evaluate_parts(
     predictions: Sequence[np.ndarray] | np.ndarray,
-    ground_truths: Collection[np.ndarray],
+    ground_truths: Sequence[np.ndarray],
     parts: Parts,
     *,
     name: str = "predictions",
@@ -165,7 +168,7 @@ def evaluate_parts(
 
     Args:
         predictions: (N, h, w) array or N arrays (h, w), depth or disparity.
-        ground_truths: N maps (H, W) in metres, 0 where there is no measurement; they are read one by one.
+        ground_truths: N maps (H, W) in metres, 0 where there is no measurement; threads ask for them one by one.
         name: what error messages call the predictions, such as their file.
         own_ratio: scale each part by its own median ratio instead.
         metrics: of paired depths.
@@ -182,26 +185,31 @@ def evaluate_parts(
     settings, count = Protocol(**protocol), len(predictions)
     if count != len(ground_truths):
         raise InputError(f"{name}: holds {count} predictions but there are {len(ground_truths)} ground truths; give one for each, in order")
-    rows, places, skipped = [], [], []
-    for number, ground_truth in enumerate(ground_truths):
+
+    def score(number: int) -> dict[str, dict[str, float]] | None:
+        """The row of each part of an image, or None without a valid pixel."""
+        ground_truth = ground_truths[number]
         try:
             pixels = valid_pixels(predictions[number], ground_truth, settings)
         except InputError as error:
             raise InputError(f"{name}: image {number}: {error}") from None
-        if pixels is None:
-            skipped.append(number)
-            continue
-        for part, mask in parts(number, pixels).items():
+        rows = {}
+        for part, mask in parts(number, pixels).items() if pixels else ():
             if mask.any():
                 truth, depth, ratio = pixels.ground_truth[mask], pixels.prediction[mask], pixels.scale_ratio
                 if own_ratio:
                     depth, ratio = scale_and_clamp(truth, pixels.unscaled[mask], settings)
-                rows.append(metrics(truth, depth) | {"scale_ratio": ratio, "valid_pixels": len(truth)})
-                places.append((number, part))
+                rows[part] = metrics(truth, depth) | {"scale_ratio": ratio, "valid_pixels": len(truth)}
+        return rows if pixels else None
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:  # unpacking, sorting and resizing let other threads run
+        # shown in a terminal only: a bar in a pipe would break the one-line error
+        images = list(tqdm(pool.map(score, range(count)), "scoring", count, unit="image", disable=None, leave=False))
+    rows = {(number, part): row for number, image in enumerate(images) for part, row in (image or {}).items()}
     if not rows:
         raise InputError(f"{name}: none of the {count} ground truths has {required}")
-    frame = pd.DataFrame(rows, index=pd.MultiIndex.from_tuples(places, names=["image", "part"]))
-    frame.attrs["skipped"] = skipped
+    frame = pd.DataFrame(rows.values(), index=pd.MultiIndex.from_tuples(rows, names=["image", "part"]))
+    frame.attrs["skipped"] = [number for number, image in enumerate(images) if image is None]
     return frame
 
 
