@@ -71,7 +71,8 @@ def device_name() -> str:
         return torch.cuda.get_device_name()
     information = Path("/proc/cpuinfo").read_text(encoding="utf-8") if Path("/proc/cpuinfo").exists() else ""
     models = [line.partition(":")[2].strip() for line in information.splitlines() if line.startswith("model name")]
-    return f"{models[0] if models else 'CPU'}, {torch.get_num_threads() if torch else os.cpu_count()} threads"
+    threads = torch.get_num_threads() if torch else os.cpu_count()
+    return f"{models[0] if models else 'CPU'}, {threads} thread{'s' * (threads != 1)}"
 
 
 def has_bf16(device: "torch.device") -> bool:

@@ -59,7 +59,8 @@ def exit_on_input_error() -> Iterator[None]:
         try:
             yield
         finally:
-            sys.stdout.flush()
+            if sys.stdout:  # None where it was closed before the program began
+                sys.stdout.flush()
     except (InputError, PermissionError) as error:
         denied = isinstance(error, PermissionError)
         said = f"{error.filename}: {error.strerror}; change its permissions, or give another place" if denied else str(error)

@@ -113,7 +113,7 @@ class DepthModel(nn.Module, ModelHubMixin):
     def predict_batch(self, images: Sequence[Image]) -> list[np.ndarray]:
         """Depths of some images, of any sizes, computed together; see `predict`."""
         arrays = [_rgb(image, read_image) for image in images]
-        depths = np.float32(1) / self.disparities(arrays, batch_size=len(arrays))
+        depths = np.float32(1) / self.disparities(arrays, batch_size=max(1, len(arrays)))
         return [resize_bilinear(depth, array.shape[:2]) for depth, array in zip(depths, arrays)]
 
     @torch.inference_mode()
@@ -140,7 +140,7 @@ class DepthModel(nn.Module, ModelHubMixin):
                 with torch.autocast(self.device.type, torch.bfloat16, enabled=self.precision == "bf16"):
                     maps.append(self(seen)[:, 0].float().cpu().numpy())
                 bar.update(len(batch))
-        disparities = np.concatenate(maps)
+        disparities = np.concatenate(maps or [np.empty((0, *self.size), np.float32)])
         if not np.isfinite(disparities).all():
             raise InputError(f"the network's numbers are not finite in {self.precision}; its weights are damaged or need float32")
         return disparities

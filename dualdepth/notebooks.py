@@ -88,6 +88,7 @@ def run_notebook(name: str, out: str | Path, parameters: dict[str, Any]) -> Path
     title = f"{name} ({', '.join(f'{k} {v}' for k, v in parameters.items() if v not in ('', None))})"
     print(f"▶ {title}", file=sys.stderr, flush=True)
     began = time.perf_counter()
+    os.environ.pop("PYTHONSAFEPATH", None)  # with it ipykernel drops the first folder of PYTHONPATH, which is this checkout
     # what cells print is shown as it comes, progress bars included; the copy keeps the last state of a bar alone
     settings = {"progress_bar": False, "stdout_file": sys.stderr, "stderr_file": sys.stderr, "coalesce_streams": True}
     settings["kernel_manager_class"] = type("ThisPython", (AsyncKernelManager,), {"kernel_spec": KernelSpec(**get_kernel_dict())})

@@ -48,12 +48,7 @@ _DISTANCE = (
     ("w/ HR-Net", "> 20 m", 0.187, 2.430, 9.695, 0.305, 0.662, 0.875, 0.946),
 )
 _SHARPNESS = (("w/o HR-Net", 20784.4), ("w/ HR-Net", 106987.2))
-_SA_REGION = (
-    ("Road", "w/o SA", 0.085),
-    ("Road", "w/ SA", 0.080),
-    ("Tree & grass", "w/o SA", 0.190),
-    ("Tree & grass", "w/ SA", 0.192),
-)
+_SA_REGION = (("Road", "w/o SA", 0.085), ("Road", "w/ SA", 0.080), ("Tree & grass", "w/o SA", 0.190), ("Tree & grass", "w/ SA", 0.192))
 _BACKBONE = (
     ("MobileNet V2", 5.37, 17.02, 0.147, 0.998, 5.185, 0.810, 0.940, 0.976),
     ("ResNet18", 16.43, 33.11, 0.138, 0.968, 5.281, 0.823, 0.947, 0.980),

@@ -28,7 +28,7 @@ class Profile(Settings):
     about: str  # One sentence for tables and reports: what the numbers of this profile are numbers of.
     verdicts: Literal["none", "directions", "numbers"] = "none"
     """What the report judges: nothing, the direction of the paper's claims, or its numbers as well."""
-    seeds: list[Annotated[int, Field(ge=0)]] = Field([0], min_length=1)
+    seeds: list[Annotated[int, Field(ge=0, lt=2**32)]] = Field([0], min_length=1)
     world: World | None = None
     data: Data
     training: Training = Training()
@@ -49,7 +49,7 @@ class Profile(Settings):
         if (self.data.source == "miniature") != (self.world is not None):
             raise ValueError("data.source: miniature needs a section `world`, and only it")
         for name in self.train:
-            if self.train[name]:
+            if self.train[name] or (self.variant(name).set and name != "lr"):  # with which it is checked
                 self.of_variant(name)
             start = self.variant(name).starts_from
             if start is not None and start not in self.train:
@@ -106,6 +106,8 @@ class Profile(Settings):
         values = self.model_dump()
         for dotted, value in changes.items():
             *sections, last = dotted.split(".")
+            if sections[:1] != ["training"] or isinstance(value, dict):
+                raise InputError(f"variant {name}: {dotted} is no single setting of training, such as training.hr.max_steps")
             try:
                 functools.reduce(operator.getitem, sections, values)[last] = value
             except (KeyError, TypeError):
@@ -149,6 +151,17 @@ def load_profile(name: str) -> Profile:
         raise InputError(f"{path}: {said}") from None
 
 
+class Once(yaml.SafeLoader):
+    """Reads YAML, in which no key may stand twice in a mapping."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """A mapping."""
+        keys = [key.value for key, _ in node.value]
+        if twice := {str(key) for key in keys if keys.count(key) > 1}:
+            raise ValueError(f"line {node.start_mark.line + 1}: {', '.join(sorted(twice))} stands twice")
+        return super().construct_mapping(node, deep)
+
+
 def _read(name: str) -> tuple[Path, dict[str, Any]]:
     """The file of a profile, and its settings laid over those of the profile that it `extends`."""
     path = Path(name) if name.endswith((".yaml", ".yml")) else PROFILES / f"{name}.yaml"
@@ -158,7 +171,7 @@ def _read(name: str) -> tuple[Path, dict[str, Any]]:
     if not re.fullmatch(r"[\w.-]+", path.stem):
         raise InputError(f"profile {name}: folders and commands are named by it; give the file a name of letters, digits, . _ and -")
     with reading(path, "give settings in YAML"):
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+        values = yaml.load(path.read_text(encoding="utf-8-sig"), Once)
     if not isinstance(values, dict):
         raise InputError(f"{path}: expected a mapping of settings, found {type(values).__name__}")
     if (base := values.pop("extends", None)) is None:

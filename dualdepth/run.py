@@ -61,10 +61,11 @@ def check_roots(given: Mapping[str, str]) -> None:
 
 
 def parse_seeds(text: str) -> list[int]:
-    """Seeds of a text such as `0,1,2`, or of an empty one; an `InputError` for all but whole numbers from 0 up between commas."""
-    if text and not re.fullmatch(r"\s*[0-9]{1,18}\s*(,\s*[0-9]{1,18}\s*)*", text):
-        raise InputError(f"seeds {text!r}: give whole numbers from 0 up between commas, such as 0,1,2")
-    return [int(part) for part in text.split(",") if text]
+    """Seeds of a text such as `0,1,2`, or of an empty one; an `InputError` for all but different whole numbers from 0 to 2³² − 1."""
+    seeds = [int(part) if re.fullmatch(r"\s*[0-9]{1,10}\s*", part) else -1 for part in text.split(",") if text]
+    if len({*seeds}) < len(seeds) or not all(0 <= seed < 2**32 for seed in seeds):
+        raise InputError(f"seeds {text!r}: give different whole numbers from 0 to 4294967295 between commas, such as 0,1,2")
+    return seeds
 
 
 def project_root() -> Path:
@@ -78,7 +79,7 @@ def project_root() -> Path:
 
 _SHAPING = (
     *("training.encoder", "training.pretrained", "training.augmentation", "training.loss", "training.beyond_paper_residual"),
-    *("training.beyond_paper_residual_floor", "training.beyond_paper_corridor_steps", "training.beyond_paper_mirrored_motion"),
+    *("training.beyond_paper_residual_floor", "training.beyond_paper_corridor_steps", "training.compile"),
     *("training.beyond_paper_pose_encoder", "training.beyond_paper_average", "training.precision", "training.channels_last"),
 )
 """Training settings that change the weights, beside the stage's own. Settings that only fit the machine are left out."""
@@ -186,10 +187,11 @@ class Run:
         """Revision of the checkout whose code this run loaded, and whether it was changed since; not of a repository around it."""
 
         def git(*words: str) -> str:
-            return subprocess.run(["git", "-C", str(self.root), *words], capture_output=True, text=True, check=False).stdout.strip()
+            place = ["--git-dir", str(self.root / ".git"), "--work-tree", str(self.root)]
+            return subprocess.run(["git", *place, *words], capture_output=True, text=True, check=False).stdout.strip()
 
-        own = shutil.which("git") and Path(git("rev-parse", "--show-toplevel")) == self.root.resolve()
-        return {"revision": (own and git("rev-parse", "HEAD")) or "unknown", "dirty": bool(own and git("status", "--porcelain"))}
+        own = shutil.which("git") and git("rev-parse", "HEAD")
+        return {"revision": own or "unknown", "dirty": bool(own and git("status", "--porcelain"))}
 
 
 def open_run(profile: str, seeds: object) -> tuple[Run, list[int]]:

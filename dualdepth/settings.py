@@ -199,8 +199,6 @@ class Training(Settings):
     """Beyond the paper: in so many first steps of stage 1 PoseNet learns alone, from frames that it takes for a level road between
     walls (`stages.corridor`), the paper's PoseNet at a rate of 1e-3. Depth then begins with motions that turn; else it takes turns upon
     itself."""
-    beyond_paper_mirrored_motion: bool = False
-    """Beyond the paper: PoseNet sees half of the samples mirrored, and the motion that it finds is mirrored back."""
     beyond_paper_pose_encoder: PoseEncoder | None = None
     """Beyond the paper: PoseNet is such an encoder, begun like LR-Net's, with a small head behind it, as in monodepth2; depth then learns
     sooner."""
@@ -211,6 +209,9 @@ class Training(Settings):
     """Of the networks; geometry and losses are always float32. `auto`: bf16 where the device computes in it, else float32;
     a training ends in the precision in which it began, and its card says which that was."""
     channels_last: bool = True
+    compile: bool = False
+    """Whether `torch.compile` makes one program of a step, in minutes, before the first one; where it cannot, a line says so and training
+    goes on without. On CPUs a short training does not get these minutes back (docs/speed.md); not measured on GPUs."""
     workers: int = Field(2, ge=0)
     """Loader processes."""
     accumulate: int = Field(1, ge=1)

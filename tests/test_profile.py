@@ -136,6 +136,8 @@ BAD_SETTINGS = [
     ("  train_list: eigen_zhou\n", "train_list or train_drives"),
     ("world: {static_frames: 50}\n", "static_frames 50 is more than frames_per_drive 40"),
     ("training: {hr: {beyond_paper_residual_heads: 0.1}}\n", "beyond_paper_residual_heads needs training.beyond_paper_residual"),
+    ("seeds: [4294967296]\n", "seeds.0"),
+    ("training: {workers: 1}\ntraining: {accumulate: 2}\n", "training stands twice"),
     ("world: {test_seed: 1}\n", "the scored streets would be the training streets"),
 ]
 BAD_VARIANTS = [
@@ -144,6 +146,10 @@ BAD_VARIANTS = [
     ("train: {lr: {training.lr.epoch: 3}}\n", r"variant lr: unknown setting training.lr.epoch; did you mean training.lr.epochs\?"),
     ("train: {lr: {training.lrr.epochs: 3}}\n", r"variant lr: unknown setting training.lrr.epochs; did you mean training.lr.epochs\?"),
     ("train: {lr: {training.lr.epochs: none}}\n", "variant lr: training.lr.epochs"),
+    ("train: {lr: {training: {workers: 1}}}\n", "variant lr: training is no single setting of training"),
+    ("train: {lr: {training.loss: {feature: 0}}}\n", "variant lr: training.loss is no single setting of training"),
+    ("train: {lr: {data.hr_size: [192, 288]}}\n", "variant lr: data.hr_size is no single setting of training"),
+    ("train: {lr: , mine: }\n" + mine("lr, set: {training.lr.foo: 3}"), "variant mine: unknown setting training.lr.foo"),
     ("train: {}\n", "train"),
     ("train: {resnet18: }\n", "train: does not name lr"),
     ("train: {lr: , odometry_lr: , mine: }\n" + mine("dual, starts_from: odometry_lr"), "a leak"),

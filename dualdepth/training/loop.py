@@ -18,7 +18,7 @@ from tqdm import tqdm
 from dualdepth.data.loading import StatelessBatches, TripletDataset, make_loader
 from dualdepth.data.triplets import Triplet
 from dualdepth.device import choose_precision, default_device, device_name, is_main_process, process_count, several_on_cpu
-from dualdepth.errors import InputError
+from dualdepth.errors import InputError, note
 from dualdepth.files import check_writable, remove_leftovers
 from dualdepth.geometry import to_unit
 from dualdepth.networks.depth_nets import DualNet
@@ -109,6 +109,8 @@ class Trainer:
         model = make_model()
         if self.settings.channels_last:
             model = model.to(memory_format=torch.channels_last)
+        if self.settings.compile:
+            model.forward = torch.compile(model.forward, dynamic=False)
         self.corridor_steps = self.settings.beyond_paper_corridor_steps if model.low else 0
         if 0 < self.total <= self.corridor_steps:
             corridor = f"beyond_paper_corridor_steps {self.corridor_steps}"
@@ -201,7 +203,12 @@ class Trainer:
             draw = part * accelerator.num_processes + accelerator.process_index
             torch.manual_seed((self.seed * self.total + step) * self.parts + draw)
             with contextlib.nullcontext() if part == accumulate - 1 else accelerator.no_sync(self.model):
-                output = self.model(batch, in_a_corridor)
+                try:
+                    output = self.model(batch, in_a_corridor)
+                except torch._dynamo.exc.TorchDynamoException as error:  # before anything was computed
+                    note(f"training.compile does not work here ({str(error).splitlines()[0]}); training goes on without it")
+                    torch.compiler.set_stance("force_eager")
+                    output = self.model(batch, in_a_corridor)
                 self._check_finite("loss", output.losses.total, step, names)
                 self._check_finite("pose", output.poses.sum(), step, names)  # its pixels count as unseen, so the loss is blind to it
                 accelerator.backward(output.losses.total / accumulate)

@@ -11,7 +11,6 @@ from dualdepth.losses import Losses, total_loss
 from dualdepth.networks.pose_net import EncoderPoseNet, PoseNet
 from dualdepth.settings import Training
 
-MIRROR = (-1.0, 1.0, 1.0, 1.0, -1.0, -1.0)  # Signs of a pose's six numbers seen in a mirror, left for right.
 WALLS = 5.5  # How far aside a corridor's walls stand, in heights of the camera: 9 metres for one that is 1.65 metres above the road.
 
 
@@ -55,7 +54,7 @@ class Stage(nn.Module):
         super().__init__()
         self.depth_net, self.pose_net = depth_net, pose_net
         self.loss, self.channels_last, self.low = training.loss, training.channels_last, low
-        self.mirrored_motion, self.colour = training.beyond_paper_mirrored_motion, training.augmentation.beyond_paper_colour
+        self.colour = training.augmentation.beyond_paper_colour
         self.hr_batch = training.augmentation.augment_first or not low
         """Whether batches have the HR size; frames that are shrunk before they are augmented have the LR size."""
 
@@ -78,7 +77,7 @@ class Stage(nn.Module):
             seen, matrix = small, resize_intrinsics(matrix, 1 / 3, 1 / 3)
         # the sources' depth features are needed for the feature loss alone
         with_features = self.low and self.loss.feature > 0 and not in_a_corridor
-        poses = self.motion(small)
+        poses = self.pose_net(small)
         if in_a_corridor:
             disparities = corridor(matrix, images.shape[-2:], self.loss.scales)
             features = torch.zeros_like(disparities[0])[:, None]
@@ -95,14 +94,6 @@ class Stage(nn.Module):
             losses = total_loss(images, matrix, disparities, poses, self.loss, pair)
         scale = getattr(getattr(self.depth_net, "attention", None), "scale", None)
         return StageOutput(losses, images[:, 0], disparities[0].detach(), poses.detach(), features[:, 0].detach(), scale)
-
-    def motion(self, images: Tensor) -> Tensor:
-        """Poses (B, S, 6) of LR images (B, 1 + S, 3, H, W), half of them found in the mirror where that is asked for."""
-        if not (self.mirrored_motion and self.training):
-            return self.pose_net(images)
-        mirrored = torch.rand(len(images), device=images.device) < 0.5
-        poses = self.pose_net(torch.where(mirrored.view(-1, 1, 1, 1, 1), images.flip(-1), images))
-        return torch.where(mirrored.view(-1, 1, 1), poses * poses.new_tensor(MIRROR), poses)
 
 
 def recoloured(images: Tensor, most: float) -> Tensor:

@@ -7,10 +7,7 @@ from dualdepth.errors import InputError
 from dualdepth.evaluation.baselines import GRID, depth_sums, leave_one_drive_out, mean_depth
 from dualdepth.evaluation.depth import resize_bilinear
 
-SPARSE = [
-    np.array([[0.0, 0, 0, 0], [4, 0, 0, 90], [10, 0, 20, 0]]),
-    np.array([[0.0, 0, 0, 0], [8, 0, 0, 0], [0, 0, 40, 0]]),
-]
+SPARSE = [np.array([[0.0, 0, 0, 0], [4, 0, 0, 90], [10, 0, 20, 0]]), np.array([[0.0, 0, 0, 0], [8, 0, 0, 0], [0, 0, 40, 0]])]
 
 
 def sums_of(maps, grid=(3, 4)):

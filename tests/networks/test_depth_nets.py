@@ -40,11 +40,7 @@ def million(number):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("encoder", "size", "params_m", "gmacs"),
-    [
-        ("mobilenet_v2", (384, 1248), 5.403, 16.978),
-        ("resnet18", (384, 1248), 16.313, 32.756),
-        ("resnet50", (128, 416), 29.951, 6.229),
-    ],
+    [("mobilenet_v2", (384, 1248), 5.403, 16.978), ("resnet18", (384, 1248), 16.313, 32.756), ("resnet50", (128, 416), 29.951, 6.229)],
 )
 def test_parameters_and_macs_of_lr_net_are_those_fitted_to_the_papers_overhead_table(encoder, size, params_m, gmacs):
     cost = count(LRNet(encoder), torch.zeros(1, 3, *size, device="meta"))

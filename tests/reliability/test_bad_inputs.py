@@ -151,5 +151,6 @@ def test_what_may_not_be_touched_is_named_in_one_line(world, name, monkeypatch, 
 @pytest.mark.parametrize("seed", ["-1", "4294967296"])
 def test_a_seed_that_is_none_is_refused(seed, refused):
     assert refused(main, ["train", "--seed", seed]) == f"error: --seed {seed}: give a whole number from 0 to 4294967295"
-    with pytest.raises(InputError, match="from 0 up"):
-        parse_seeds("0,-1")
+    for text in (f"0,{seed}", "0,0", "0,,1"):
+        with pytest.raises(InputError, match="from 0 to 4294967295"):
+            parse_seeds(text)

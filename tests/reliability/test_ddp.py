@@ -21,7 +21,7 @@ TORCHRUN = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "
 
 def checkout(root, processes):
     """A checkout in which so many processes cut a batch into two parts."""
-    return make_checkout(root, accumulate=2 // processes, beyond_paper_corridor_steps=2, beyond_paper_mirrored_motion=True)
+    return make_checkout(root, accumulate=2 // processes, beyond_paper_corridor_steps=2)
 
 
 def start_two(run, variant):

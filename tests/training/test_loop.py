@@ -87,7 +87,6 @@ def test_a_corridor_that_leaves_no_steps_is_an_error(run, profile_of):
         {"augmentation": {"augment_first": False}},
         {"augmentation": {"beyond_paper_flip": True}},
         {"training": {"beyond_paper_corridor_steps": 1}},
-        {"training": {"beyond_paper_mirrored_motion": True}, "stage": {"batch_size": 2}},
     ],
     ids=str,
 )
@@ -99,6 +98,25 @@ def test_every_switch_trains_and_shapes_the_weights(run, profile_of, changes):
         AcceleratorState._reset_state(reset_partial_state=True)
         PLAIN[str(plain)] = PLAIN.get(str(plain)) or run("plain", profile=profile_of(**plain))
         assert not equal(weights, PLAIN[str(plain)])
+
+
+@pytest.mark.slow
+def test_where_a_step_cannot_be_compiled_training_goes_on_as_without(run, profile_of, monkeypatch, capsys):
+    stances = []
+
+    def compiled(forward, dynamic):
+        def step(*batch):
+            if not stances:
+                raise torch._dynamo.exc.TorchDynamoException("no compiler")
+            return forward(*batch)
+
+        return step
+
+    plain = run("plain", profile=profile_of())
+    monkeypatch.setattr(torch, "compile", compiled)
+    monkeypatch.setattr(torch.compiler, "set_stance", stances.append)
+    assert equal(plain, run("compiled", profile=profile_of(training={"compile": True})))
+    assert stances == ["force_eager"] and "no compiler" in capsys.readouterr().err
 
 
 def test_the_learning_rate_steps_down_at_the_papers_epochs():
