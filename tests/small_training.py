@@ -3,6 +3,7 @@
 import os
 import signal
 
+import pandas as pd
 import pytest
 import torch
 from accelerate.state import AcceleratorState
@@ -12,7 +13,6 @@ from small_kitti import triplets_of
 from dualdepth.networks.depth_nets import LRNet
 from dualdepth.networks.pose_net import make_pose_net
 from dualdepth.profile import load_profile
-from dualdepth.training.log import read_log
 from dualdepth.training.loop import Trainer
 from dualdepth.training.stages import Stage
 from tests.small_checkout import write_profile
@@ -83,7 +83,7 @@ def whole(whole_and_log):
 
 def log_of(folder):
     """A training's log without its speed."""
-    return read_log(folder / "log.csv").drop(columns="steps_per_second")
+    return pd.read_csv(folder / "log.csv").drop(columns="steps_per_second")
 
 
 def at_forward(number, event, kind=Stage):

@@ -24,7 +24,7 @@ class TrainingLog:
         from torch.utils.tensorboard import SummaryWriter
 
         self.folder, self.path, self.say = folder, folder / "log.csv", say
-        self.rows = [row for row in read_log(self.path).to_dict("records") if row["step"] <= step] if self.path.exists() else []
+        self.rows = [row for row in pd.read_csv(self.path).to_dict("records") if row["step"] <= step] if self.path.exists() else []
         self.writer = SummaryWriter(str(folder / "tensorboard"), purge_step=step + 1)
         for picture in (folder / "panels").glob("step_*.png"):
             if int(picture.stem[5:]) > step:
@@ -86,8 +86,3 @@ def combine(accelerator: Accelerator, parts: Sequence[dict[str, Tensor]]) -> dic
         return min(values) if name.endswith("_min") else max(values) if name.endswith("_max") else sum(values) / len(values)
 
     return {name: one(name) for name in rows[0]}
-
-
-def read_log(path: str | Path) -> pd.DataFrame:
-    """The rows of a training's `log.csv`."""
-    return pd.read_csv(path)

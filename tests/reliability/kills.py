@@ -26,7 +26,6 @@ import torch
 from dualdepth.device import keep_freed_memory
 from dualdepth.run import Run
 from dualdepth.training.checkpoints import checkpoint_paths
-from dualdepth.training.log import read_log
 from dualdepth.training.variants import train_variant
 from tests.reliability.counting import Tally, count_kills, until_killed
 from tests.small_checkout import checkout_of, prepare
@@ -103,7 +102,7 @@ def finish(process: BaseProcess) -> None:
 
 def outcome(run: Run, variant: str) -> tuple[bytes, pd.DataFrame]:
     """Weights and log of a finished training."""
-    return run.weights(variant, 0).read_bytes(), read_log(run.training(variant, 0) / "log.csv").drop(columns="steps_per_second")
+    return run.weights(variant, 0).read_bytes(), pd.read_csv(run.training(variant, 0) / "log.csv").drop(columns="steps_per_second")
 
 
 def newest_step(folder: Path) -> int:

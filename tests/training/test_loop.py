@@ -4,6 +4,7 @@ import json
 import multiprocessing
 import signal
 
+import pandas as pd
 import pytest
 import torch
 from accelerate.state import AcceleratorState
@@ -15,7 +16,6 @@ from dualdepth.device import has_bf16
 from dualdepth.errors import InputError
 from dualdepth.profile import load_profile
 from dualdepth.training.checkpoints import last_checkpoint
-from dualdepth.training.log import read_log
 from dualdepth.training.loop import learning_rate, total_steps
 from dualdepth.training.stages import Stage
 
@@ -33,7 +33,7 @@ def test_it_learns_one_triplet(run, profile_of, triplets, tmp_path):
         augmentation={"max_scale": 1.0},
     )
     run(profile=profile, given=triplets[1:2])
-    log = read_log(tmp_path / "run/log.csv")
+    log = pd.read_csv(tmp_path / "run/log.csv")
     first, last = log.iloc[0], log.iloc[-1]
     assert list(log["step"]) == [1, 25]
     assert last["photometric"] < 0.5 * first["photometric"]
@@ -63,7 +63,7 @@ def test_a_finished_run_leaves_weights_with_their_card_a_log_and_a_picture(run, 
     assert card.keys() == facts.keys() | {"seconds_of_last_run", "device", "last_losses", "sha256"}
     assert (folder / f"panels/step_{STEPS:07d}.png").stat().st_size > 1000
     assert list((folder / "tensorboard").iterdir())
-    log = read_log(folder / "log.csv")
+    log = pd.read_csv(folder / "log.csv")
     assert list(log["step"]) == list(range(1, STEPS + 1))
     # 6 steps stretch the paper's 40 epochs: 1.5 steps each at the first two rates
     assert log["learning_rate"].tolist() == [2e-4, 2e-4, 1e-4, 5e-5, 5e-5, 5e-5]

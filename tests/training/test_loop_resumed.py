@@ -9,7 +9,6 @@ from small_nets import equal
 from small_training import STEPS, WIDE, at_forward, kill, kill_softly, log_of
 
 from dualdepth.training.checkpoints import last_checkpoint
-from dualdepth.training.log import read_log
 from dualdepth.training.stages import Stage
 from dualdepth.training.weights import load_card
 
@@ -31,7 +30,7 @@ def test_a_run_that_was_told_to_stop_goes_on_to_the_same_weights(run, whole, tmp
 def test_a_stop_while_posenet_learns_alone_or_after_it_changes_nothing(run, profile_of, tmp_path, more, rates):
     profile = profile_of(training={"beyond_paper_corridor_steps": 2} | more)
     whole = run("whole", profile=profile)
-    log = read_log(tmp_path / "whole/log.csv")
+    log = pd.read_csv(tmp_path / "whole/log.csv")
     assert list(log["learning_rate"][:3]) == pytest.approx(rates)
     assert list(log["feature_spread"] > 0) == [False] * 2 + [True] * (STEPS - 2)  # a corridor has none
     for number in (1, 2):  # the second is after it: it counts from the checkpoint
@@ -69,7 +68,7 @@ def test_a_killed_run_goes_on_from_its_last_checkpoint_to_the_same_weights_and_l
     with pytest.raises(KeyboardInterrupt):
         run("cut", kind=at_forward(4, kill))
     assert last_checkpoint(tmp_path / "cut")["step"] == 2
-    assert list(read_log(tmp_path / "cut/log.csv")["step"]) == [1, 2, 3]
+    assert list(pd.read_csv(tmp_path / "cut/log.csv")["step"]) == [1, 2, 3]
     (tmp_path / "cut/panels").mkdir(exist_ok=True)
     (tmp_path / "cut/panels/step_0000099.png").touch()  # of a longer run before
     assert equal(run("cut"), whole)

@@ -5,6 +5,7 @@ import os
 import shutil
 from unittest.mock import Mock
 
+import pandas as pd
 import pytest
 import torch
 from small_kitti import DRIVE, write_sequence
@@ -22,7 +23,6 @@ from dualdepth.networks.depth_nets import DualNet, LRNet
 from dualdepth.networks.pose_net import EncoderPoseNet, PoseNet
 from dualdepth.run import Sources
 from dualdepth.training import variants
-from dualdepth.training.log import read_log
 from dualdepth.training.loop import Trainer
 from dualdepth.training.stages import Stage
 from dualdepth.training.variants import make_stage, start_weights, train_variant
@@ -238,7 +238,7 @@ def test_a_residual_dual_network_gets_its_starting_scale_once_and_is_read_back(a
     run = after_stage_1(train={"lr": None, "dual": changes})
     train_variant(run, "dual", 0)
     assert begun == [(1, 3, 192, 192)]
-    assert read_log(run.training("dual", 0) / "log.csv")["feature_spread"].min() > 0
+    assert pd.read_csv(run.training("dual", 0) / "log.csv")["feature_spread"].min() > 0
     model = load(run.weights("dual", 0))
     heads = make_stage(run.profile, "dual", run.weights("lr", 0)).depth_net.hr_net.decoder.heads
     largest = [0.1 * (6 / (9 * (1 + head.in_channels))) ** 0.5 for head in heads]  # Xavier's, of 3×3 weights
