@@ -55,7 +55,7 @@ def load_card(path: str | Path) -> dict[str, Any]:
     there = Path(path).exists()
     places = [file for place in (Path(path), Path(path).resolve()) for file in (place.with_suffix(".json"), place.with_name(HUB_CARD))]
     card = next((file for file in places if file.exists()), places[0] if there else Path(path))
-    with reading(card, "keep the weights' card beside them, if these are weights of this project" if there else "give the weights of a training"):
+    with reading(card, "keep the weights' card beside them, if they are this project's" if there else "give the weights of a training"):
         values = json.loads(card.read_text(encoding="utf-8"))
         if not isinstance(values, dict):
             raise ValueError(f"expected a mapping, found {type(values).__name__}")
