@@ -7,7 +7,7 @@ import torch
 
 from dualdepth.profile import load_profile
 from tools import bench_gpu
-from tools.bench import median_step
+from tools.bench import floors, median_step
 
 
 @pytest.mark.slow
@@ -16,9 +16,12 @@ def test_a_step_is_timed_by_its_parts(name, encoder):
     training = load_profile("tiny").training.model_copy(update={"encoder": encoder})
     images = torch.randint(0, 255, (1, 3, 3, 192, 192), dtype=torch.uint8)
     matrix = torch.tensor([[[200.0, 0, 96], [0, 200, 96], [0, 0, 1]]])
-    found = median_step(name, training, {"images": images, "intrinsics": matrix}, torch.device("cpu"), 1)
+    batch = {"images": images, "intrinsics": matrix}
+    found = median_step(name, training, batch, torch.device("cpu"), 1)
     parts = [found.pop(part) for part in ("networks", "losses", "backward", "optimiser")]
     assert min(parts) > 0 and sum(parts) == pytest.approx(found["step"]) and found["peak_mb"] > 100
+    floor = floors(name, training, batch, torch.device("cpu"), "float32")
+    assert (floor["backward"] == pytest.approx(2 * floor["networks"])) == (name == "lr") and min(floor.values()) > 0
 
 
 @pytest.mark.slow

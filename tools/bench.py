@@ -8,7 +8,7 @@ import sys
 import tempfile
 import time
 import timeit
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -23,9 +23,9 @@ from torch.utils.data import default_collate
 from dualdepth.data.loading import TripletDataset
 from dualdepth.data.triplets import Triplet
 from dualdepth.device import Precision, default_device, device_name, has_bf16, keep_freed_memory
-from dualdepth.evaluation.cost import latency
+from dualdepth.evaluation.cost import count, latency
 from dualdepth.files import write_text
-from dualdepth.geometry import to_unit
+from dualdepth.geometry import low_resolution, to_unit
 from dualdepth.networks.architecture import Architecture
 from dualdepth.networks.depth_nets import LRNet
 from dualdepth.networks.pose_net import PoseNet
@@ -94,6 +94,50 @@ def median_step(name: str, training: Training, batch: dict[str, Any], device: to
     return {**pd.DataFrame(rows[2:]).median(), "peak_mb": peak / 1e6}
 
 
+def machine(device: torch.device, precision: Precision) -> tuple[float, float]:
+    """What the machine can do at most: multiply-accumulates a second of a large matrix product, bytes a second of a copy, both ways."""
+    dtype = torch.bfloat16 if precision == "bf16" else torch.float32
+    a, b, large = (torch.ones(n, m, dtype=dtype, device=device) for n, m in ((2048, 2048), (2048, 2048), (8192, 8192)))
+    other = torch.empty_like(large)
+
+    def seconds(work: Callable[[], object]) -> float:
+        def run() -> None:
+            work()
+            if device.type == "cuda":
+                torch.cuda.synchronize()
+
+        run()
+        return min(timeit.repeat(run, number=1, repeat=7))
+
+    return 2048**3 / seconds(lambda: a @ b), 2 * large.nbytes / seconds(lambda: other.copy_(large))
+
+
+def floors(name: str, training: Training, batch: dict[str, Any], device: torch.device, precision: Precision) -> dict[str, float]:
+    """Seconds below which the parts of a step cannot come: by its networks' multiply-accumulates, of which what learns needs twice as many
+    for gradients, and, of the losses, by reading images and disparities of all scales and writing gradients once, in float32."""
+    images = to_unit(batch["images"].cpu())
+    small, (size, _, _, height, width) = low_resolution(images), images.shape
+    net = LRNet(training.encoder) if name == "lr" else make_net(name)
+    seen = (small if name == "lr" else images)[:1, 0]
+    both = count(net, seen).macs, count(PoseNet(), small[:1]).macs
+    frozen = count(net.lr_net.encoder, small[:1, 0]).macs if name == "dual" else 0
+    macs, (peak, bandwidth) = size * sum(both), machine(device, precision)
+    pixels = size * height * width / (9 if name == "lr" else 1) * sum(0.25**scale for scale in range(training.loss.scales))
+    return {
+        "networks": macs / peak,
+        "losses": pixels * (9 + 1 + 1) * 4 / bandwidth,
+        "backward": 2 * (macs - size * frozen) / peak,
+        "optimiser": 7 * 4 * sum(p.numel() for p in net.parameters() if p.requires_grad) / bandwidth,  # weight, gradient, two moments
+    }
+
+
+def parts_of(name: str, step: dict[str, float], floor: dict[str, float]) -> Iterator[tuple[str, float, str]]:
+    """The parts of a step in seconds, each with its floor."""
+    for part in ("networks", "losses", "backward", "optimiser"):
+        yield f"  {name}: {part}", step[part], "s"
+        yield f"  {name}: {part}, floor", floor[part], "s"
+
+
 def measurements(encoder: str, repeats: int) -> Iterator[tuple[str, float, str]]:
     """All measurements, each as soon as it is made: what, value, unit."""
     device, profile = default_device(), load_profile("paper")
@@ -111,8 +155,7 @@ def measurements(encoder: str, repeats: int) -> Iterator[tuple[str, float, str]]
     steps = {p: median_step("lr", training.model_copy(update={"precision": p}), batch, device, repeats) for p in precisions}
     step = steps[training.precision]
     yield f"stage 1 step, {encoder} 128x416, batch 4, {training.precision}", step["step"], "s"
-    for part in ("networks", "losses", "backward", "optimiser"):
-        yield f"  of it {part}", step[part] / step["step"], "share"
+    yield from parts_of("stage 1", step, floors("lr", training, batch, device, training.precision))
     if "bf16" in steps:
         yield "  float32 step / bf16 step", steps["float32"]["step"] / step["step"], "ratio"
     yield "  loading a batch on one core / step", load * training.lr.batch_size / step["step"], "ratio"
@@ -124,6 +167,7 @@ def measurements(encoder: str, repeats: int) -> Iterator[tuple[str, float, str]]
     for name, step in large.items():
         yield f"stage 2 step, {name} 384x1248, batch 4, {training.precision}", step["step"], "s"
         yield "  peak memory", step["peak_mb"], "MB"
+        yield from parts_of(name, step, floors(name, training, batch, device, training.precision))
     for part in ("step", "peak_mb"):
         yield f"  dual / resnet18, {part}", large["dual"][part] / large["resnet18"][part], "ratio"
 
