@@ -17,6 +17,8 @@ IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0"
 @pytest.fixture
 def root(tmp_path):
     write_sequence(tmp_path, "00", [0, 1, 2, 3, 5, 6, 7])
+    folder = tmp_path / "sequences/00/image_2"
+    (folder / "000002.png").rename(folder / "000002.PNG")
     write_sequence(tmp_path, "06", range(3), camera="image_0", calibration="calib_p0_p1.txt")
     return tmp_path
 

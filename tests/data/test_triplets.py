@@ -62,11 +62,11 @@ def test_one_message_names_all_missing_files_in_one_line(root):
     assert "\n" not in message
 
 
-@pytest.mark.parametrize("suffixes", [(".png",), (".jpg",), (".jpg", ".png")])
+@pytest.mark.parametrize("suffixes", [(".png",), (".jpg",), (".jpg", ".png"), (".JPG", ".png", ".PNG", ".Jpg")])
 def test_written_targets_read_back_as_triplets_of_real_files(tmp_path, suffixes):
     write_calibration(tmp_path, focal=100.0)
     for first, suffix in enumerate(suffixes):  # a conversion that was stopped leaves both kinds
-        write_drive(tmp_path, range(2 * first, 4), size=(8, 8), suffix=suffix)
+        write_drive(tmp_path, range(first, 4), size=(8, 8), suffix=suffix)
     targets = drive_triplets(tmp_path, [DRIVE])
     write_triplets(tmp_path / "out/triplets.csv", tmp_path, raw_triplets(tmp_path, targets))
     triplets = load_triplets(tmp_path / "out/triplets.csv", tmp_path)
