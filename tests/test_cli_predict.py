@@ -241,9 +241,22 @@ def test_mistakes_are_one_line_and_nothing_is_written(photos, run, out, refused,
     assert not out.exists()
 
 
-def test_a_full_disk_ends_it_in_one_line(photos, run, out, capsys, monkeypatch):
-    monkeypatch.setattr("dualdepth.inference.files.save", Mock(side_effect=OSError(28, "No space left on device")))
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [(OSError(28, "No space left on device"), "No space left"), (UnicodeEncodeError("ascii", "ü", 0, 1, "no"), "PYTHONUTF8=1")],
+)
+def test_a_full_disk_and_a_locale_without_letters_end_it_in_one_line(photos, run, out, capsys, monkeypatch, error, said):
+    monkeypatch.setattr("dualdepth.inference.files.save", Mock(side_effect=error))
     with pytest.raises(SystemExit, match="2"):
         run(photos)
     last = capsys.readouterr().err.splitlines()[-1]
-    assert last.startswith(f"error: {out}: ") and "No space left on device" in last
+    assert last.startswith(f"error: {out}: ") and said in last
+
+
+def test_a_pipe_that_is_closed_early_is_not_said_to_be_the_results(photos, run, monkeypatch):
+    stdout = Mock(spec=["write", "flush"])
+    stdout.flush.side_effect = BrokenPipeError(32, "Broken pipe")
+    monkeypatch.setattr("sys.stdout", stdout)
+    monkeypatch.setattr("os.dup2", Mock())
+    with pytest.raises(SystemExit, match="141"):
+        run(photos)
