@@ -47,7 +47,7 @@ def camera_of_numbers(text: str, size: tuple[int, int]) -> Camera:
 def scaled(camera: Camera, size: tuple[int, int], what: str) -> Camera:
     """The camera for frames of `size`, of any scale; an `InputError` says of `what` that they have another shape."""
     if camera.size == size:
-        return camera
+        return camera._replace(size=size)  # whole numbers
     (height, width), (fx, fy, cx, cy) = camera.size, camera[:4]
     if not (min(height, width) > 0 and 0.98 < size[1] / width * height / size[0] < 1.02):
         sizes = f"is of {width:g}×{height:g} pixels, the frames, {size[1]}×{size[0]}, have another shape"

@@ -49,7 +49,7 @@ def media(paths: Iterable[Path], where: object, videos: bool = True) -> list[Pat
     but for texts and hidden files, and of a folder's own folders."""
     parts, what, usable = _parts(paths), "images or videos" if videos else "images", []
     below = sum(path.is_dir() and path.name[0] != "." for path in parts) if Path(str(where)).is_dir() else 0
-    folders = f"its {below} subfolders are not looked into; " + (f"'{where}/**/*' stands for all" if videos else "give one of them")
+    folders = f"folders in it ({below}) are not looked into; " + (f"'{where}/**/*' stands for all" if videos else "give one of them")
     files = [p for p in sorted(parts, key=lambda p: (parts[p], p)) if p.name[0] != "." and p.suffix.lower() not in TEXTS and p.is_file()]
     for path in files:
         with contextlib.suppress(InputError):
@@ -105,8 +105,8 @@ class Video:
             codec = int(self._capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little", signed=True).strip(b"\0").decode("ascii", "ignore")
             self.close()
             empty = self.path.is_file() and not self.path.stat().st_size
-            what = "empty" if empty else f"no video that can be decoded{f' (codec {codec})' * codec.isalnum()}"
-            raise InputError(f"{path}: {what}; copy it again or convert it: {self.convert}")
+            what = f"no video that can be decoded{f' (codec {codec})' * codec.isalnum()}; copy it again or convert it: {self.convert}"
+            raise InputError(f"{path}: {'empty; copy it again' if empty else what}")
         if rate != self.rate:
             note(f"{path}: says that it has {rate:g} frames a second; {self.rate:g} are taken")
 

@@ -63,7 +63,7 @@ def predict_files(
     except UnicodeEncodeError as error:
         raise InputError(f"{out}: this locale has no {error.object[error.start]!a} for names of files; set PYTHONUTF8=1") from None
     except OSError as error:
-        sys.stdout.flush()  # raises again if what is printed was the trouble
+        print(f"{out}: stopped", flush=True)  # raises again if printing was the trouble
         raise InputError(f"{out}: results cannot be written ({error}); the same command then goes on where it was") from None
     there = f", {len(tasks) - len(todo)} were there" if len(todo) < len(tasks) else ""
     broken = f", {len(predictor.broken)} broken" if predictor.broken else ""

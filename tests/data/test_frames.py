@@ -34,7 +34,7 @@ def test_frames_that_are_wanted_are_those_of_the_whole_video(clip):
 def test_what_is_no_video_is_named_with_a_command_that_leaves_it_alone(tmp_path, content, capfd):
     path = tmp_path / "x y.mp4"
     path.write_bytes(content)
-    with pytest.raises(InputError, match=r"x y\.mp4: [ -~]+ffmpeg -i '/.*/x y\.mp4' -crf 17 '/.*/x y.converted.mp4'") as error:
+    with pytest.raises(InputError, match=r"x y\.mp4: (empty|[ -~]+ -i '/.*/x y\.mp4' .* '/.*/x y.converted.mp4')") as error:
         Video(path)
     assert ("empty" in str(error.value)) == (not content) and capfd.readouterr() == ("", "")
 
@@ -55,28 +55,19 @@ def numbers(footage):
     return [still.number for still in footage.stills()]
 
 
-@pytest.mark.parametrize(
-    ("names", "expected"),
-    [
-        (["f1", "f2", "f3", "f6", "f7"], [0, 1, 2, 5, 6]),
-        (["cam2_8", "cam2_9", "cam2_10", "cam2_12"], [0, 1, 2, 4]),
-        (["f10", "f20", "f30", "f50", "f60"], [0, 1, 2, 4, 5]),
-        ([str(1403636579763555584 + k) for k in (0, 50_000_896, 100_000_000, 149_999_616, 400_000_000)], [0, 1, 2, 3, 8]),
-        (["a", "b", "c"], [0, 1, 2]),
-        (["1305031102.875304", "1305031102.975211", "1305031103.075309", "1305031103.375300"], [0, 1, 2, 5]),
-        (["7.9", "7.95", "8", "8.05"], [0, 1, 2, 3]),
-        (["1.75", "2.5", "3.25"], [0, 1, 2]),
-        (["cam2.8", "cam2.9", "cam2.10", "cam2.12"], [0, 1, 2, 4]),
-        (["12.5000", "12.900000000", "13.100000", "13.990000000"], [0, 1, 2, 3]),
-        (["name", "name (1)", "name (2)", "name (10)"], [0, 1, 2, 10]),
-        (["2024-01-02 10-15-59-900", "2024-01-02 10-16-00-100", "2024-01-02 10-16-00-300"], [0, 1, 2]),
-        (["-12", "-11", "-2", "-1"], [0, 1, 10, 11]),
-        (["8.250_cam0", "8.500_cam0", "8.750_cam0", "9.250_cam0"], [0, 1, 2, 4]),
-        (["IMG_9997", "IMG_9998", "IMG_9999", "IMG_0001", "IMG_0002", "IMG_0004"], [0, 1, 2, 3, 4, 6]),
-    ],
-    ids=str,
-)
-def test_names_say_which_frames_are_neighbours_and_natural_order_is_that_of_time(tmp_path, names, expected, capsys):
+ORDERS = {"f1, f2, f3, f6, f7": [0, 1, 2, 5, 6], "cam2_8, cam2_9, cam2_10, cam2_12": [0, 1, 2, 4], "f10, f20, f30, f50": [0, 1, 2, 4]}
+ORDERS |= {"a, b, c": [0, 1, 2], "name, name (1), name (2), name (10)": [0, 1, 2, 10], "-12, -11, -2, -1": [0, 1, 10, 11]}
+ORDERS |= {"1305031102.875304, 1305031102.975211, 1305031103.075309, 1305031103.375300": [0, 1, 2, 5], "7.9, 7.95, 8, 8.05": [0, 1, 2, 3]}
+ORDERS |= {"1.75, 2.5, 3.25": [0, 1, 2], "cam2.8, cam2.9, cam2.10, cam2.12": [0, 1, 2, 4]}
+ORDERS |= {"12.5000, 12.900000000, 13.100000, 13.990000000": [0, 1, 2, 3], "8.250_cam0, 8.500_cam0, 8.750_cam0, 9.250_cam0": [0, 1, 2, 4]}
+ORDERS |= {"2024-01-02 10-15-59-900, 2024-01-02 10-16-00-100, 2024-01-02 10-16-00-300": [0, 1, 2]}
+ORDERS |= {"IMG_9997, IMG_9998, IMG_9999, IMG_0001, IMG_0002, IMG_0004": [0, 1, 2, 3, 4, 6]}
+ORDERS |= {", ".join(str(1403636579763555584 + k) for k in (0, 50_000_896, 100_000_000, 149_999_616, 400_000_000)): [0, 1, 2, 3, 8]}
+
+
+@pytest.mark.parametrize(("listed", "expected"), ORDERS.items())
+def test_names_say_which_frames_are_neighbours_and_natural_order_is_that_of_time(tmp_path, listed, expected, capsys):
+    names = listed.split(", ")
     footage = Footage(write_frames(tmp_path / "f", [frame(0)] * len(names), names[::-1]))
     assert numbers(footage) == expected and footage.length == len(names)
     assert [still.file.stem for still in footage.stills()] == names
