@@ -48,7 +48,8 @@ def media(paths: Iterable[Path], where: object, videos: bool = True) -> list[Pat
     """Images, and `videos` if wanted, among files of a place, in natural order; an `InputError` if there are none. A note tells of others,
     but for texts and hidden files, and of a folder's own folders."""
     parts, what, usable = _parts(paths), "images or videos" if videos else "images", []
-    below = sum(path.is_dir() and path.name[0] != "." for path in parts) if Path(str(where)).is_dir() else 0
+    inside = [path for path in parts if path.is_dir() and path.name[0] != "." and not (path / "predictions.json").exists()]
+    below = len(inside) if Path(str(where)).is_dir() else 0
     folders = f"folders in it ({below}) are not looked into; " + (f"'{where}/**/*' stands for all" if videos else "give one of them")
     files = [p for p in sorted(parts, key=lambda p: (parts[p], p)) if p.name[0] != "." and p.suffix.lower() not in TEXTS and p.is_file()]
     for path in files:
