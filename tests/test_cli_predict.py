@@ -10,6 +10,7 @@ import numpy as np
 import PIL.Image
 import pytest
 import torch
+from own_film import write_video
 from small_kitti import wall
 from small_nets import output_of
 from torch import nn
@@ -60,12 +61,7 @@ def photos(tmp_path):
 @pytest.fixture
 def clip(tmp_path):
     """Ten frames of an odd size that get brighter."""
-    path = tmp_path / "clip.avi"
-    file = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 10, (161, 91))
-    for i in range(10):
-        file.write(wall(91, 161) // 8 + np.uint8(20 * i + 30))
-    file.release()
-    return path
+    return write_video(tmp_path / "clip.avi", [wall(91, 161) // 8 + np.uint8(20 * i + 30) for i in range(10)], "MJPG")
 
 
 @pytest.fixture
@@ -241,9 +237,20 @@ def test_mistakes_are_one_line_and_nothing_is_written(photos, run, out, refused,
     assert not out.exists()
 
 
-def test_a_full_disk_ends_it_in_one_line(photos, run, out, capsys, monkeypatch):
-    monkeypatch.setattr("dualdepth.inference.files.save", Mock(side_effect=OSError(28, "No space left on device")))
+ERRORS = {"No space": OSError(28, "No space left on device"), "PYTHONUTF8=1": UnicodeEncodeError("ascii", "ü", 0, 1, "no")}
+
+
+@pytest.mark.parametrize(("said", "error"), ERRORS.items())
+def test_a_full_disk_and_a_locale_without_letters_end_it_in_one_line(photos, run, out, capsys, monkeypatch, error, said):
+    monkeypatch.setattr("dualdepth.inference.files.save", Mock(side_effect=error))
     with pytest.raises(SystemExit, match="2"):
         run(photos)
     last = capsys.readouterr().err.splitlines()[-1]
-    assert last.startswith(f"error: {out}: ") and "No space left on device" in last
+    assert last.startswith(f"error: {out}: ") and said in last
+
+
+def test_a_pipe_that_is_closed_early_is_not_said_to_be_the_results(photos, run, monkeypatch):
+    monkeypatch.setattr("sys.stdout", Mock(spec=["write", "flush"], **{"flush.side_effect": BrokenPipeError(32, "Broken pipe")}))
+    monkeypatch.setattr("os.dup2", Mock())
+    with pytest.raises(SystemExit, match="141"):
+        run(photos)

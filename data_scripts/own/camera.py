@@ -40,18 +40,27 @@ def camera_of_numbers(text: str, size: tuple[int, int]) -> Camera:
     """
     with reading(f"--intrinsics {text!r}", "give fx,fy,cx,cy in pixels, such as 1000,1000,959.5,539.5, or a calibration file"):
         fx, fy, cx, cy, width, height = map(float, text.split(",") + [*size[::-1]] * (text.count(",") == 3))
-        x, y = size[1] / width, size[0] / height
-    if not 0.98 < x / y < 1.02:
-        raise InputError(f"--intrinsics {text!r}: the frames, {size[1]}×{size[0]}, have another shape; give numbers of these frames")
-    camera = Camera(fx * x, fy * y, (cx + 0.5) * x - 0.5, (cy + 0.5) * y - 0.5, size, "given as numbers")
-    return validate(camera, "--intrinsics", told=text.count(",") > 3)
+    camera = Camera(fx, fy, cx, cy, (height, width), "given as numbers")
+    return validate(scaled(camera, size, f"--intrinsics {text!r}"), "--intrinsics", told=text.count(",") > 3)
+
+
+def scaled(camera: Camera, size: tuple[int, int], what: str) -> Camera:
+    """The camera for frames of `size`, of any scale; an `InputError` says of `what` that they have another shape."""
+    if camera.size == size:
+        return camera._replace(size=size)  # whole numbers
+    (height, width), (fx, fy, cx, cy) = camera.size, camera[:4]
+    if not (min(height, width) > 0 and 0.98 < size[1] / width * height / size[0] < 1.02):
+        sizes = f"is of {width:g}×{height:g} pixels, the frames, {size[1]}×{size[0]}, have another shape"
+        raise InputError(f"{what}: {sizes}; calibrate with frames of the same mode")
+    x, y, origin = size[1] / width, size[0] / height, f"{camera.origin}, scaled from {width:g}×{height:g}"
+    return Camera(fx * x, fy * y, (cx + 0.5) * x - 0.5, (cy + 0.5) * y - 0.5, size, origin, camera.distortion)
 
 
 def camera_of_file(path: str | Path, size: tuple[int, int]) -> Camera:
     """Camera of a calibration file: JSON with fx, fy, cx, cy (and width, height, distortion) or a data set's `own.json`, or KITTI's text.
 
     Raises:
-        InputError: it cannot be read, holds no camera, or is of frames of another size.
+        InputError: it cannot be read, holds no camera, or is of frames of another shape; to those of another size it is scaled.
     """
     path, said, distortion, source = Path(path), None, (), f"read from {Path(path).name}"
     if path.suffix.lower() != ".json":
@@ -61,19 +70,16 @@ def camera_of_file(path: str | Path, size: tuple[int, int]) -> Camera:
         if (rectified := key.replace("P", "S")) in values:
             said = tuple(calibration_entry(values, rectified, 2, path)[::-1].round().astype(int))
     else:
-        with reading(path, 'give {"fx": …, "fy": …, "cx": …, "cy": …} in pixels'):
+        with reading(path, 'give {"fx": …, "fy": …, "cx": …, "cy": …}, perhaps with "width" and "height", in pixels'):
             values = json.loads(path.read_text(encoding="utf-8-sig"))
             values = values.get("camera", values)
             distortion = tuple(float(v) for v in values.get("distortion", ()))
-            said = (int(values["height"]), int(values["width"])) if {"height", "width"} <= {*values} else None
+            said = (int(values["height"]), int(values["width"])) if {"height", "width"} & {*values} else None
             numbers = (float(values[k]) for k in ("fx", "fy", "cx", "cy"))
             camera = Camera(*numbers, size, f"{values.get('origin', 'given')}; {source}", distortion)
     if len(distortion) not in (0, 4, 5, 8) or not np.isfinite(distortion).all():
         raise InputError(f"{path}: distortion has {len(distortion)} numbers; give OpenCV's k1, k2, p1, p2, k3, or none")
-    if said not in (size, None):
-        sizes = f"is of {said[1]}×{said[0]} pixels, the frames have {size[1]}×{size[0]}"
-        raise InputError(f"{path}: {sizes}; calibrate with frames of the same mode")
-    return validate(camera, str(path), told=said is not None)
+    return validate(scaled(camera._replace(size=said or size), size, str(path)), str(path), told=said is not None)
 
 
 def camera_of_field(degrees: float, size: tuple[int, int]) -> Camera:

@@ -97,13 +97,11 @@ def places_of(truths: DepthMaps, frames: int = 0, source: str | None = None) -> 
     """Places, in their list, of the images that have ground truth; the list, where one is given, is of so many frames and named `source`.
 
     They are the keys, if all are numbers; else, and for a list that has as many frames as there are maps (and lacks the others), 0, 1, 2, …
-
-    Raises:
-        InputError: the list is shorter than the last place.
+    An `InputError` says that the list cannot be the one that the file was made from, by its length, nor one of the maps alone.
     """
     keys, held = [int(name) for name in truths.names if re.fullmatch("[0-9]{1,9}", name)], len(truths)
     places = keys if len(keys) == held != frames else [*range(held)]
-    if 0 < frames <= max(places, default=-1):
+    if 0 < frames <= max(places, default=-1) or (frames and truths.listed and frames not in (held, truths.listed)):
         raise InputError(f"{source}: lists {frames} frames but {truths.path} holds {held}; give the list it was made from")
     return places
 

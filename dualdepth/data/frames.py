@@ -2,9 +2,9 @@
 
 import contextlib
 import itertools
-import math
 import os
 import re
+import shlex
 from collections.abc import Container, Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -19,6 +19,8 @@ from dualdepth.files import file_digest, short_digest
 
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
 VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv", ".ts", ".mts", ".m2ts", ".3gp", ".flv", ".ogv", ".vob")
+STREAMS = (".mjpeg", ".mjpg")  # Photos, one behind the other.
+FILM = re.compile(rb"\x1aE\xdf\xa3|RIFF....AVI |FLV|(?:....)?G@|....ftyp|OggS|0&\xb2u", re.DOTALL)  # Of films.
 TEXTS = (".txt", ".json", ".csv", ".xml", ".xmp", ".yaml", ".yml", ".md", ".log", ".srt", ".gpx")  # They go with images and videos.
 LAST_NUMBER = re.compile(r"(\d+)(?:\.(\d+))?(?=[^\d/\\]*$)")
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # else FFmpeg tells of a damaged file in its own words as well
@@ -35,16 +37,20 @@ def is_image(path: Path) -> bool:
     """Whether a file is one image, no animation and no film: by its first bytes, or where these say nothing by its ending."""
     head = b""
     with contextlib.suppress(OSError), path.open("rb") as file:
-        head = file.read(12)[4:]
+        head = file.read(12)
         with contextlib.suppress(Exception), PIL.Image.open(file) as image:  # Pillow's readers have one for each damage
-            return not (image.format in ("MPEG", "FLI") or (image.format == "GIF" and image.is_animated))
-    return head in HEIF or (path.suffix.lower() in IMAGES and head[:4] != b"ftyp")
+            moves = image.format == "GIF" and image.is_animated and "duration" in image.info  # FFmpeg stops where frames have no time
+            return not (moves or image.format in ("MPEG", "FLI") or path.suffix.lower() in STREAMS)
+    return head[4:] in HEIF or (path.suffix.lower() in IMAGES and not FILM.match(head))
 
 
 def media(paths: Iterable[Path], where: object, videos: bool = True) -> list[Path]:
     """Images, and `videos` if wanted, among files of a place, in natural order; an `InputError` if there are none. A note tells of others,
-    but for texts and hidden files."""
+    but for texts and hidden files, and of a folder's own folders."""
     parts, what, usable = _parts(paths), "images or videos" if videos else "images", []
+    inside = [path for path in parts if path.is_dir() and path.name[0] != "." and not (path / "predictions.json").exists()]
+    below = len(inside) if Path(str(where)).is_dir() else 0
+    folders = f"folders in it ({below}) are not looked into; " + (f"'{where}/**/*' stands for all" if videos else "give one of them")
     files = [p for p in sorted(parts, key=lambda p: (parts[p], p)) if p.name[0] != "." and p.suffix.lower() not in TEXTS and p.is_file()]
     for path in files:
         with contextlib.suppress(InputError):
@@ -52,7 +58,10 @@ def media(paths: Iterable[Path], where: object, videos: bool = True) -> list[Pat
                 usable.append(path)
     endings = ", ".join(sorted({path.suffix.lower() or "no ending" for path in {*files} - {*usable}}))
     if not usable:
-        raise InputError(f"{where}: no {what} there; give the folder that they lie in, not {endings or 'an empty one'}")
+        other = f"give the folder that they lie in, not {endings or 'an empty one'}"
+        raise InputError(f"{where}: no {what} there; {folders if below else other}")
+    if below:
+        note(f"{where}: {folders}")
     if endings:
         note(f"{where}: {len(files) - len(usable)} of {len(files)} files are left out, since they are no {what} ({endings})")
     return usable
@@ -60,8 +69,11 @@ def media(paths: Iterable[Path], where: object, videos: bool = True) -> list[Pat
 
 def _parts(paths: Iterable[Path]) -> dict[Path, list[str | int]]:
     """Texts and numbers of each name, in turn. `1305031102.1753` at the end is one number, in units of the finest fraction, but not
-    counters, `2.9`, `2.10`. Zeros tell: fractions begin with one now and then, and are of one length or end with none."""
+    counters, `2.9`, `2.10`. Zeros tell: fractions begin with one now and then, and are of one length or end with none. What follows
+    all times, `_cam0`, is left out; a name may begin with a minus."""
     names = {path: os.path.splitext(path)[0] for path in paths}
+    tails = {(re.search(r"\d\.\d+([^\d./\\][^/\\]*)$", name) or [0, ""])[1] for name in names.values()}
+    names = {path: name.removesuffix(*tails) for path, name in names.items()} if len(tails) == 1 else names
     found = [match.groups() for match in map(LAST_NUMBER.search, names.values()) if match and match[2]]
     lengths = {len(fraction) for _, fraction in found}
     begins, ends = (any(len(fraction) > 1 and fraction[place] == "0" for _, fraction in found) for place in (0, -1))
@@ -69,35 +81,35 @@ def _parts(paths: Iterable[Path]) -> dict[Path, list[str | int]]:
     if len(lengths) > 1 and not (begins or ends):
         note(f"{'.'.join(min(found))}, of a name, may be one number or two; {'one' if decimal else 'two'} is assumed for the order")
     names = {p: LAST_NUMBER.sub(lambda m: m[1] + (m[2] or "").ljust(max(lengths), "0"), n) if decimal else n for p, n in names.items()}
-    return {path: [int(t) if k % 2 else t for k, t in enumerate(re.split(r"(\d+)", name))] for path, name in names.items()}
+    return {path: [int(t) if k % 2 else t for k, t in enumerate(re.split(r"((?:(?<![^/\\])-)?\d+)", name))] for path, name in names.items()}
 
 
 class Video:
     """A video that is read once from its beginning; frames are turned as the file says, (H, W, 3) uint8 RGB.
-
-    Raises:
-        InputError: it cannot be opened or has no frames.
-    """
+    An `InputError` says that it cannot be opened or has no frames."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)  # a file that cannot be opened is this class's to tell
-        self._capture = cv2.VideoCapture(str(self.path.absolute()), cv2.CAP_FFMPEG)  # absolute: what is before a colon may be a protocol
-        cv2.utils.logging.setLogLevel(level)
+        whole = self.path.absolute()  # What is before a colon may be a protocol; and OpenCV crashes over str that are no UTF-8.
+        self._capture = cv2.VideoCapture(os.fsencode(whole), cv2.CAP_FFMPEG)
         count, rate = self._capture.get(cv2.CAP_PROP_FRAME_COUNT), self._capture.get(cv2.CAP_PROP_FPS)
         self.announced = int(count) if 0 < count < 1e9 else None
         """Frames that the file says it has; None where it does not say."""
-        self.rate = rate if math.isfinite(rate) and 0 < rate <= 1000 else DEFAULT_RATE
+        self.rate = rate if 1e-4 <= rate <= 65535 else DEFAULT_RATE
         """Frames a second."""
         self.passed = 0
         """Frames that were there so far."""
-        self.convert = f"ffmpeg -i {self.path.name} -crf 17 video.mp4"
+        self.convert = shlex.join(["ffmpeg", "-i", str(whole), "-crf", "17", str(whole.with_suffix(".converted.mp4"))])
         """What a user may do about a damaged one."""
         there, self._first = self._capture.read()
         if not there:
-            codec = int(self._capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little", signed=True).decode("ascii", "replace").strip("\0")
+            codec = int(self._capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little", signed=True).strip(b"\0").decode("ascii", "ignore")
             self.close()
-            raise InputError(f"{path}: no video that can be decoded (codec {codec or 'none'}); copy it again or convert it: {self.convert}")
+            empty = self.path.is_file() and not self.path.stat().st_size
+            what = f"no video that can be decoded{f' (codec {codec})' * codec.isalnum()}; copy it again or convert it: {self.convert}"
+            raise InputError(f"{path}: {'empty; copy it again' if empty else what}")
+        if rate != self.rate:
+            note(f"{path}: says that it has {rate:g} frames a second; {self.rate:g} are taken")
 
     def frames(self, wanted: Container[int] | None = None) -> Iterator[tuple[int, np.ndarray]]:
         """Number, from 0, and picture of all frames that can be read, or of those whose numbers are wanted; others are not decoded."""
@@ -141,11 +153,8 @@ class FootageFrame(NamedTuple):
 
 
 class Footage:
-    """A folder of images, in natural order, or a video; can be gone through more than once.
-
-    Raises:
-        InputError: there is no such file or folder, it holds no images, or it is no video that can be read.
-    """
+    """A folder of images, in natural order, or a video; can be gone through more than once. An `InputError` says that
+    there is none, that it holds no images, or that it is no video that can be read."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
@@ -159,11 +168,8 @@ class Footage:
             video.close()
 
     def stills(self, wanted: Container[int] | None = None) -> Iterator[FootageFrame]:
-        """The frames in order, or those whose numbers are wanted.
-
-        Raises:
-            InputError: a frame cannot be read, or is of another size than the first; a video ends before its announced end.
-        """
+        """The frames in order, or those whose numbers are wanted. An `InputError` says that one cannot be read or is not of the first one's
+        size, or that a video ends before its announced end."""
         video = Video(self.path) if self.files is None else None
         if video:
             stills = (FootageFrame(number, image, None) for number, image in video.frames(wanted))
@@ -190,7 +196,10 @@ class Footage:
 def _numbered_images(folder: Path) -> dict[int, Path]:
     """Image files by their place in time: the last number of the name, in usual steps; where it does not rise, places in natural order.
     Numbers from nearly 0 to nearly 9999 (or 999, …), with a gap of more than half of that, are of a counter that rolled over."""
-    files, said = media(folder.iterdir(), folder, videos=False), ""
+    there, said = media(folder.iterdir(), folder, videos=False), ""
+    files = [*{file.stem: file for file in there[::-1]}.values()][::-1]  # the first of a stem; JPEG comes before PNG, which may be depth
+    if len(files) < len(there):
+        note(f"{folder}: {len(there) - len(files)} of {len(there)} images are left out, since others have their names but for the ending")
     numbers = [(parts[-2:-1] or [0])[0] for parts in _parts(Path(file.name) for file in files).values()]
     steps = [after - before for before, after in itertools.pairwise(numbers)]  # no array: nanoseconds may exceed 64 bits
     if min(steps, default=1) <= 0:

@@ -5,21 +5,26 @@ Layout, as KITTI unpacks: `ROOT/2011_09_26/calib_cam_to_cam.txt`,
 """
 
 import contextlib
+import functools
 import io
 import re
+import shlex
 from pathlib import Path
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 import PIL.Image
+import PIL.ImageOps
 
 from dualdepth.errors import InputError, note, reading
 
 CAMERA_OF_SIDE = {"l": "image_02", "r": "image_03"}
-SUFFIXES = (".png", ".jpg", ".jpeg")
+SUFFIXES = tuple(case(ending) for case in (str.lower, str.upper, str.title) for ending in (".png", ".jpg", ".jpeg"))
 AGAIN = "copy or download it again"
 HEIF = tuple(b"ftyp" + brand for brand in b"heic heix heim heis hevc mif1 msf1 avif avis".split())  # Bytes 4 to 12 of phones' photos.
+TIFF = (b"II", b"MM")  # Bytes 0 to 2.
+cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # What cannot be read is told in one line here.
 
 
 class Frame(NamedTuple):
@@ -39,14 +44,9 @@ class Frame(NamedTuple):
 
 
 def read_frame_list(path: str | Path) -> list[Frame]:
-    """Read a list in the field's format, one `2011_09_26/2011_09_26_drive_0052_sync 0000000000 l` a line.
-
-    The side `l` or `r` may be missing (left). SfMLearner's `…_sync/image_02/data/0000000000.png` is read, too, and monodepth's pairs.
-
-    Raises:
-        InputError: no such file, no frames, or a malformed line, which is named with its number.
-    """
-    pattern = r"(\d{4}_\d{2}_\d{2})/(\1_drive_\d{4}_sync)(?: |/(image_0\d)/data/)(\d{1,10})(?:\.(?:png|jpe?g)(?: \S+)?)?(?: ([lr]))?"
+    """Read a list in the field's format, one `2011_09_26/2011_09_26_drive_0052_sync 0000000000 l` a line; without `l` or `r`, left.
+    SfMLearner's `…_sync/image_02/data/0000000000.png` is read, too, and monodepth's pairs. An `InputError` names the first bad line."""
+    pattern = r"(\d{4}_\d{2}_\d{2})/(\1_drive_\d{4}_sync)(?: |/(image_0\d)/data/)(\d{1,10})(?:\.(?i:png|jpe?g)(?: \S+)?)?(?: ([lr]))?"
     lines = _matched_lines(path, pattern, "date/date_drive_XXXX_sync frame l|r")
     if not lines:
         raise InputError(f"{path}: the list is empty")
@@ -77,10 +77,7 @@ def _matched_lines(path: str | Path, pattern: str, form: str) -> list[tuple]:
 
 def numbered_lines(path: Path) -> list[tuple[int, str]]:
     """Lines of a text file that are not blank, and their numbers from 1; without quotes and a byte order mark, words a space apart.
-
-    Raises:
-        InputError: it cannot be read, or is no text.
-    """
+    An `InputError` says that it cannot be read, or is no text."""
     with reading(path, f"give a text file in UTF-8, or {AGAIN}"):
         text = path.read_text(encoding="utf-8-sig").replace('"', " ").replace("'", " ")
     return [(number, " ".join(line.split())) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
@@ -93,10 +90,7 @@ def check_root(
     mend: str = "give the folder that holds 2011_09_26, 2011_09_28, …",
 ) -> Path:
     """A folder of data that a user gives as `option`: the KITTI raw folder, or another one with its pattern and mend.
-
-    Raises:
-        InputError: it is missing or holds nothing of the pattern.
-    """
+    An `InputError` says that it holds nothing of the pattern."""
     if not any(Path(root).glob(pattern)):
         raise InputError(f"{option} {root}: holds no {pattern}; {mend}")
     return Path(root)
@@ -114,34 +108,56 @@ def velodyne_path(root: str | Path, frame: Frame) -> Path:
 
 
 def read_image(path: str | Path) -> np.ndarray:
-    """Decode an image to RGB.
-
-    Returns:
-        (H, W, 3) uint8; grey is repeated over the channels; of 16-bit files the 8 highest of the bits that they use (10, 12, 14 or 16).
-
-    Raises:
-        InputError: missing, empty, truncated or no image.
-    """
-    image = cv2.imdecode(whole_image(path), cv2.IMREAD_COLOR_RGB | cv2.IMREAD_ANYDEPTH)
-    if image is None:
-        raise InputError(f"{path}: not an image that can be decoded; {AGAIN}, or convert it to PNG")
-    if image.dtype != np.uint16:
-        return image if image.dtype == np.uint8 else cv2.convertScaleAbs(image)
-    bits = next(bits for bits in (8, 10, 12, 14, 16) if image.max() < 2**bits)
+    """Decode an image to RGB, (H, W, 3) uint8; grey is repeated over the channels. Of 16-bit files it takes the 8 highest of the bits that
+    their folder uses (10, 12, 14 or 16). An `InputError` says that there is none, or that it is truncated or no image."""
+    image, path = _decoded(Path(path)), Path(path)
+    if image.dtype == np.uint8:
+        return image
+    deepest = max(_deepest(path.parent, path.suffix), np.percentile(image[::4, ::4], 99))  # a few hot pixels change no scaling
+    bits = next(bits for bits in (8, 10, 12, 14, 16) if deepest < 2**bits)
     if bits < 16:
-        note(f"{Path(path).parent}: holds 16-bit images with values of {bits} bits; the highest 8 of these are taken")
-    return (image >> (bits - 8)).astype(np.uint8)
+        note(f"{path.parent}: holds 16-bit images with values of {bits} bits; the highest 8 of these are taken")
+    return np.minimum(image >> (bits - 8), 255).astype(np.uint8)
+
+
+@functools.cache
+def _deepest(folder: Path, suffix: str, most: int = 32) -> int:
+    """The largest value in up to `most` 16-bit images all over a folder, whose images are scaled alike."""
+    files, found = sorted(path for path in folder.iterdir() if path.suffix == suffix and not path.name.endswith(".depth.png")), [0]
+    for path in files[:: -(-len(files) // most) or 1]:
+        with contextlib.suppress(InputError):
+            found.append(int(image.max()) if (image := _decoded(path)).dtype == np.uint16 else 0)
+    return max(found)
+
+
+def _decoded(path: Path) -> np.ndarray:
+    """An image with the values that are stored, turned as it says: (H, W, 3) RGB, uint8 or uint16."""
+    data = whole_image(path)
+    if data[4:12].tobytes() in HEIF:  # which OpenCV does not turn
+        with reading(path, AGAIN), PIL.Image.open(io.BytesIO(data)) as photo:
+            return np.array(PIL.ImageOps.exif_transpose(photo).convert("RGB"))
+    tiff = data[:2].tobytes() in TIFF  # In RGB their 16-bit colours would be memory that nobody wrote to (OpenCV 5.0.0).
+    image = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | (cv2.IMREAD_COLOR if tiff else cv2.IMREAD_COLOR_RGB))
+    if image is None or image.dtype not in (np.uint8, np.uint16, np.int16):
+        raise _undecodable(path, data)
+    image = image if image.dtype != np.int16 else image.clip(0).astype(np.uint16)
+    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB) if tiff else image
+
+
+def _undecodable(path: Path, data: np.ndarray | bytes) -> InputError:
+    """What a file is that no reader knows, and what to do."""
+    what = f"not an image that can be decoded; {AGAIN}, or convert it to PNG"
+    if bytes(data[4:12]) in HEIF:
+        names = (shlex.quote(str(name)) for name in (path, path.with_suffix(".converted.jpg")))
+        what = f"a HEIC or AVIF photo, not read here; convert it: heif-convert {' '.join(names)}"
+    elif bytes(data[:2]) in TIFF:
+        what = "a damaged TIFF, or one of 32-bit or other values that are not read here; convert it to a 16-bit PNG"
+    return InputError(f"{path}: {what}")
 
 
 def whole_image(path: str | Path) -> np.ndarray:
-    """Bytes of an image file, checked without decoding it, if nothing is behind the image; phones write films there, which do no harm.
-
-    Returns:
-        (N,) uint8.
-
-    Raises:
-        InputError: missing, empty, truncated, no image, with a wrong checksum (PNG), or larger than 179 million pixels.
-    """
+    """Bytes (N,) of an image file, checked without decoding it, if nothing is behind the image; phones write films there, which do no
+    harm. Raises an `InputError`: missing, truncated, no image, with a wrong checksum (PNG), or larger than 179 million pixels."""
     with reading(path, AGAIN):
         data = np.fromfile(path, np.uint8)
     end = {b"\xff\xd8": b"\xff\xd9", b"\x89P": b"IEND"}.get(data[:2].tobytes(), b"")  # of JPEG and PNG
@@ -156,31 +172,21 @@ def whole_image(path: str | Path) -> np.ndarray:
 
 def check_image(path: str | Path, data: np.ndarray | bytes) -> None:
     """Refuse what is no image or announces too many pixels, by its header, and a PNG that is truncated or whose checksums are wrong.
-
-    OpenCV would also print to stderr for the first and allocate memory for the second.
-
-    Raises:
-        InputError: naming `path`, where the bytes are from.
-    """
+    The `InputError` names `path`, where the bytes are from."""
     with reading(path, AGAIN):
         try:
             with PIL.Image.open(io.BytesIO(data)) as image:
+                if image.format != "MPO" and (count := getattr(image, "n_frames", 1)) > 1:
+                    note(f"{path}: has {count} frames or pages; the first is taken")
                 image.verify()
         except PIL.UnidentifiedImageError:  # whose own message names no file
-            heif = f"a HEIC or AVIF photo, not read here; convert it: heif-convert {Path(path).name} {Path(path).stem}.jpg"
-            raise InputError(f"{path}: {heif if bytes(data[4:12]) in HEIF else f'not an image that can be decoded; {AGAIN}'}") from None
+            raise _undecodable(Path(path), data) from None
 
 
 def read_calibration(path: str | Path) -> dict[str, np.ndarray]:
-    """Read a `key: numbers` calibration file (`calib_cam_to_cam.txt`, `calib_velo_to_cam.txt`, odometry's `calib.txt`).
-
-    Returns:
-        Flat float64 arrays by key; lines that hold no numbers (`calib_time`) are left out. In a file without any key
-        (`calib_p0_p1.txt`) the rows are `P0`, `P1`, …
-
-    Raises:
-        InputError: the file cannot be read or holds no calibration.
-    """
+    """Read a `key: numbers` calibration file (`calib_cam_to_cam.txt`, `calib_velo_to_cam.txt`, odometry's `calib.txt`) into flat
+    float64 arrays; lines that hold no numbers (`calib_time`) are left out. In a file without any key (`calib_p0_p1.txt`) the rows are `P0`,
+    `P1`, … An `InputError` says that it cannot be read or holds no calibration."""
     lines, values = [line for _, line in numbered_lines(Path(path))], {}
     if not any(":" in line for line in lines):
         lines = [f"P{number}: {line}" for number, line in enumerate(lines)]

@@ -56,13 +56,8 @@ def frame_files(root: str | Path, entry: str) -> dict[int, Path]:
 
 
 def sequence_intrinsics(root: str | Path, entry: str) -> np.ndarray:
-    """Intrinsics (3, 3) of a sequence's camera, in pixels of its frames.
-
-    From `calib.txt` (`P2: …`), or from `calib_p0_p1.txt`, two rows without names, where that is all there is.
-
-    Raises:
-        InputError: no calibration, or none of that camera.
-    """
+    """Intrinsics (3, 3) of a sequence's camera, in pixels of its frames, from `calib.txt` (`P2: …`), or from `calib_p0_p1.txt`, two rows
+    without names, where that is all there is. An `InputError` says that there is no calibration, or none of that camera."""
     name, camera = sequence_of(entry)
     path, bare = (Path(root) / "sequences" / name / file for file in ("calib.txt", "calib_p0_p1.txt"))
     path = bare if bare.is_file() and not path.is_file() else path
@@ -83,22 +78,16 @@ def drives_of(sequences: Iterable[str], *, world: bool) -> list[str]:
 
 
 def drives_to_guard(sequence: str) -> list[str]:
-    """Drives that frames of a sequence are of, whether of KITTI or of the synthetic world: what a guard must look for.
-
-    Raises:
-        InputError: no sequence of KITTI's.
-    """
+    """Drives that frames of a sequence are of, whether of KITTI or of the synthetic world: what a guard must look for. An
+    `InputError` says that it is no sequence of KITTI's."""
     if sequence not in RAW_DRIVES:
         raise InputError(f"sequence {sequence!r}: give one of {', '.join(RAW_DRIVES)}")
     return [*drives_of([sequence], world=False), *drives_of([sequence], world=True)]
 
 
 def odometry_triplets(root: str | Path, sequences: Sequence[str], broken: Collection[Path] = ()) -> list[Triplet]:
-    """Triplets of some sequences; those of `broken` files are left out.
-
-    Raises:
-        InputError: a sequence has no images, no calibration or not three consecutive frames.
-    """
+    """Triplets of some sequences; those of `broken` files are left out. An `InputError` names one that has no images, no calibration or
+    not three consecutive frames."""
     found: list[Triplet] = []
     for entry in sequences:
         name, camera = sequence_of(entry)
@@ -125,12 +114,8 @@ class Trajectory(NamedTuple):
 
 
 def read_trajectory(path: str | Path) -> Trajectory:
-    """Read a KITTI pose file: 12 numbers a line or the 16 of 4x4 matrices, and one more with a leading frame number.
-
-    Raises:
-        InputError: naming the file and the line: missing, empty, another number of numbers, text, NaN, no rotation matrix, or frame
-            numbers that are not increasing integers.
-    """
+    """Read a KITTI pose file: 12 numbers a line or the 16 of 4x4 matrices, and one more with a leading frame number. An `InputError` names
+    the line: another number of numbers, text, NaN, no rotation matrix, or frame numbers that are not increasing integers."""
     with reading(path, FORMAT):
         text = Path(path).read_text(encoding="utf-8-sig", errors="replace")
     lines = [(number, line.split()) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
@@ -170,10 +155,7 @@ def _row(words: list[str], width: int, where: str) -> list[float]:
 
 def write_trajectory(path: str | Path, poses: np.ndarray) -> None:
     """Write poses (N, 4, 4) or (N, 3, 4), camera to world, metres, as a KITTI pose file, atomically and without loss.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
+    An `InputError` says that it cannot be written."""
     rows = [" ".join(f"{value:.17g}" for value in np.asarray(pose, np.float64)[:3].ravel()) for pose in poses]
     try:
         write_text(path, "".join(f"{row}\n" for row in rows))

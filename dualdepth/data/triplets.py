@@ -92,11 +92,8 @@ def missing_files_error(what: str, root: str | Path, missing: Iterable[tuple[Fra
 
 
 def raw_triplets(root: str | Path, targets: Iterable[Frame]) -> list[Triplet]:
-    """Triplets of targets, in their order; each folder is listed once, and may hold PNG and JPEG.
-
-    Raises:
-        InputError: a calibration is missing or cannot be read.
-    """
+    """Triplets of targets, in their order; each folder is listed once, and may hold PNG and JPEG. An `InputError` names a calibration
+    that is missing or cannot be read."""
     matrix = functools.cache(functools.partial(intrinsics, root))
     there = functools.cache(lambda folder: {*os.listdir(folder)} if folder.is_dir() else set())
     found = []

@@ -60,7 +60,10 @@ def predict_files(
             print(f"{len(todo)} of {len(tasks)} inputs to predict on {model.device} in {model.precision}", flush=True)
             predictor = Predictor(model, out, style, batch_size or (GPU_BATCH if model.device.type == "cuda" else 1))
             predictor.run(todo)
+    except UnicodeEncodeError as error:
+        raise InputError(f"{out}: this locale has no {error.object[error.start]!a} for names of files; set PYTHONUTF8=1") from None
     except OSError as error:
+        print(f"{out}: stopped", flush=True)  # raises again if printing was the trouble
         raise InputError(f"{out}: results cannot be written ({error}); the same command then goes on where it was") from None
     there = f", {len(tasks) - len(todo)} were there" if len(todo) < len(tasks) else ""
     broken = f", {len(predictor.broken)} broken" if predictor.broken else ""
@@ -73,9 +76,7 @@ def find_inputs(given: Iterable[str | Path]) -> list[Path]:
 
     A file is taken whatever its ending. A folder stands for the images and videos in it (not below it), in natural order; a pattern
     (`*`, `?`, `[…]`, `**`) stands for those that match it. Hidden files and results of an earlier prediction are left out of both.
-
-    Raises:
-        InputError: something is not there, or there are no images or videos in it.
+    An `InputError` names what is not there, or has no images or videos in it.
     """
     return list({path.resolve(): path for word in given for path in _files(str(word))}.values())
 
@@ -89,7 +90,9 @@ def _files(word: str) -> list[Path]:
     candidates = list(path.iterdir() if path.is_dir() else map(Path, glob.glob(word, recursive=True)))
     if not candidates and not path.is_dir():
         raise InputError(f"{word}: no file matches this pattern; check its folder and its ending")
-    return media([path for path in candidates if not path.name.lower().endswith((*SUFFIXES.values(), SIDE_VIDEO))], word)
+    made = {folder for folder in {path.parent for path in candidates} if any((f / STAMP).is_file() for f in (folder, folder.parent))}
+    ours = (*SUFFIXES.values(), SIDE_VIDEO)
+    return media([path for path in candidates if path.parent not in made or not path.name.lower().endswith(ours)], word)
 
 
 class Task(NamedTuple):

@@ -1,6 +1,7 @@
 """What is written of images and their depth: 16-bit PNG, colours with a bar, array, point cloud, video. Each file is whole or absent."""
 
 import math
+import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
@@ -56,12 +57,7 @@ class Style(NamedTuple):
 
 def save(kind: str, path: Path, image: np.ndarray, depth: np.ndarray, style: Style, ends: np.ndarray | None = None) -> None:
     """Write one result of a `kind` of `SUFFIXES`: of an image (H, W, 3) uint8 RGB and its depth (H, W) float32, scaled.
-
-    `ends` are those of the colour scale; None takes the depth's own, `colour_ends`.
-
-    Raises:
-        OSError: it cannot be written.
-    """
+    `ends` are those of the colour scale; None takes the depth's own, `colour_ends`. An `OSError` says that it cannot be written."""
     with atomic_path(path) as partial:
         if kind == "depth":
             words = PIL.PngImagePlugin.PngInfo()
@@ -146,13 +142,15 @@ def _bar(height: int, ends: np.ndarray, unit: str) -> np.ndarray:
 def write_video(path: Path, rate: float, frames: Iterable[np.ndarray]) -> None:
     """Write frames (H, W, 3) uint8 RGB of one size, `rate` a second; the file is whole or absent.
 
-    Odd sizes, which the codec has not, get their last row or column twice; the rate is rounded to as many decimals as the codec takes.
+    Odd sizes, which the codec has not, get their last row or column twice; the rate is rounded to as many decimals as the codec takes, and
+    frames are written several times where that is below 0.1, of which OpenCV takes three decimals.
 
     Raises:
         NotImplementedError: the codec takes no such video.
         OSError: not all frames were written; the codec tells of no full disk, so they are counted.
     """
-    rate = round(rate, max(0, int(math.log10(65535 / rate))))  # a fraction of whole numbers of 16 bits
+    times = math.ceil(0.1 / rate)
+    rate = round(times * rate, max(0, int(math.log10(65535 / (times * rate)))))  # a fraction of whole numbers of 16 bits
     with atomic_path(path) as partial:
         file, count = cv2.VideoWriter(), 0
         try:
@@ -162,13 +160,14 @@ def write_video(path: Path, rate: float, frames: Iterable[np.ndarray]) -> None:
                     frame = cv2.resize(frame, (width, height), interpolation=cv2.INTER_AREA)
                 frame = cv2.copyMakeBorder(frame, 0, frame.shape[0] % 2, 0, frame.shape[1] % 2, cv2.BORDER_REPLICATE)
                 settings = (cv2.CAP_FFMPEG, cv2.VideoWriter_fourcc(*CODEC), rate, frame.shape[1::-1])
-                if count == 1 and not file.open(str(partial), *settings):
+                if count == 1 and not file.open(os.fsencode(partial), *settings):
                     raise NotImplementedError(f"OpenCV cannot write {CODEC} of {settings[-1]} at {rate:g} Hz; try --save depth")
-                file.write(np.ascontiguousarray(frame[..., ::-1]))
+                for _ in range(times):
+                    file.write(np.ascontiguousarray(frame[..., ::-1]))
         finally:
             file.release()
-        capture = cv2.VideoCapture(str(partial), cv2.CAP_FFMPEG)
-        written = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        capture = cv2.VideoCapture(os.fsencode(partial), cv2.CAP_FFMPEG)
+        written = int(capture.get(cv2.CAP_PROP_FRAME_COUNT)) // times
         capture.release()
         if written != count:
             raise OSError(f"{written} of {count} frames were written; is the disk full?")

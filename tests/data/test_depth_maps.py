@@ -1,8 +1,12 @@
 """Files of ground-truth depth: plain, and in order."""
 
+from contextlib import nullcontext
+
 import numpy as np
+import pytest
 
 from dualdepth.data import depth_maps
+from dualdepth.errors import InputError
 
 MAPS = [np.arange(12.0).reshape(3, 4), np.ones((2, 5)), np.zeros((1, 1))]
 
@@ -24,3 +28,10 @@ def test_order_is_the_files_even_where_keys_do_not_sort(tmp_path):
     path = tmp_path / "plain.npz"
     np.savez(path, *[np.full((2, 2), float(i)) for i in range(12)])
     assert [depth[0, 0] for depth in depth_maps.load_ground_truth(path)] == list(range(12))
+
+
+@pytest.mark.parametrize(("frames", "places"), [(0, [0, 1, 3]), (3, [0, 1, 2]), (5, [0, 1, 3]), (4, None), (6, None), (697, None)])
+def test_a_list_is_that_of_all_frames_or_of_those_with_maps(tmp_path, frames, places):
+    depth_maps.save_ground_truth(tmp_path / "gt.npz", MAPS, ["000000", "000001", "000003"], listed=5)
+    with nullcontext() if places else pytest.raises(InputError, match=f"list: lists {frames} frames"):
+        assert depth_maps.places_of(depth_maps.load_ground_truth(tmp_path / "gt.npz"), frames, "list") == places

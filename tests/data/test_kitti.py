@@ -11,16 +11,12 @@ from small_kitti import DRIVE, wall, write_calibration
 from dualdepth.data import kitti
 from dualdepth.data.kitti import Frame, intrinsics, read_calibration, read_frame_list, read_image, read_static_frames, read_test_scenes
 from dualdepth.errors import InputError
+from dualdepth.files import write_text
 
 
 @pytest.fixture
 def listed(tmp_path):
-    def write(text):
-        path = tmp_path / "list.txt"
-        path.write_text(text)
-        return path
-
-    return write
+    return lambda text: write_text(tmp_path / "list.txt", text) or tmp_path / "list.txt"
 
 
 def test_a_list_in_the_fields_format_gives_frames_in_its_order(listed):
@@ -30,23 +26,14 @@ def test_a_list_in_the_fields_format_gives_frames_in_its_order(listed):
 
 def test_lists_of_other_scripts_and_systems_are_read(tmp_path):
     left, right = (f"{DRIVE}/image_0{camera}/data/0000000007" for camera in (2, 3))
-    text = f'\ufeff{DRIVE}\t0000000007\tl\r\n"{DRIVE} 7 l"\r\n{left}.png\r\n{left}.jpg {right}.jpg\r\n{right}.png\r\n'
+    text = f'\ufeff{DRIVE}\t0000000007\tl\r\n"{DRIVE} 7 l"\r\n{left}.png\r\n{left}.jpg {right}.jpg\r\n{right}.PNG\r\n'
     (tmp_path / "list.txt").write_bytes(text.encode())
     assert read_frame_list(tmp_path / "list.txt") == [Frame(DRIVE, 7)] * 4 + [Frame(DRIVE, 7, "image_03")]
     (tmp_path / "calib.txt").write_bytes("\ufeffP2:\t1 2\r\nT: 3\r\n".encode())
     assert {key: row.tolist() for key, row in read_calibration(tmp_path / "calib.txt").items()} == {"P2": [1, 2], "T": [3]}
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
-        "2011_09_26_drive_0001_sync 0000000007 l",
-        f"{DRIVE} 0000000007 x",
-        f"{DRIVE}",
-        "2011_09_28/2011_09_26_drive_0001_sync 0000000007 l",
-        f"{DRIVE} 0000000007 l extra",
-    ],
-)
+@pytest.mark.parametrize("line", [DRIVE, f"{DRIVE[11:]} 7 l", f"{DRIVE} 7 x", f"2011_09_28{DRIVE[10:]} 7 l", f"{DRIVE} 7 l extra"])
 def test_a_malformed_line_is_named_with_its_file_and_number(listed, line):
     path = listed(f"{DRIVE} 0000000000 l\n{line}\n")
     with pytest.raises(InputError, match=r"list\.txt, line 2: "):
@@ -88,12 +75,38 @@ def test_bytes_behind_an_image_do_no_harm_and_pixels_that_are_missing_are_notice
 
 
 @pytest.mark.parametrize(("most", "bits"), [(200, 8), (1000, 10), (4000, 12), (9000, 14), (16400, 16), (65535, 16)])
-def test_deep_images_show_the_bits_that_they_hold_which_is_said_once(tmp_path, capsys, most, bits):
-    deep = np.linspace(0, most, 60 * 80).reshape(60, 80).astype(np.uint16)
-    for path in (tmp_path / "a.png", tmp_path / "b.tif"):
-        cv2.imwrite(str(path), deep)
-        assert np.array_equal(read_image(path), np.repeat(deep[..., None] >> (bits - 8), 3, 2))
+def test_deep_images_of_a_folder_show_the_bits_that_it_holds_which_is_said_once(tmp_path, capsys, most, bits):
+    deep = np.linspace(0, most, 60 * 80 * 3).reshape(60, 80, 3).astype(np.uint16)
+    (hot := deep.copy())[30] = 65535  # of depth, whose values do not count
+    pictures = {"a.png": deep // 5, "b.png": deep, "b.tif": deep, "b.depth.png": hot}
+    for name, picture in pictures.items():
+        cv2.imwrite(str(tmp_path / name), picture)
+    for name, picture in pictures.items():
+        assert np.array_equal(read_image(tmp_path / name), np.minimum(picture[..., ::-1] >> (bits - 8), 255))
     assert capsys.readouterr().err.count(f"{tmp_path}: holds 16-bit images with values of {bits} bits") == (bits < 16)
+
+
+def test_signed_values_begin_at_zero_those_of_32_bits_are_refused_and_of_several_pictures_the_first_is_read(tmp_path, capfd):
+    signed = np.linspace(-30000, 30000, 60 * 80).reshape(60, 80)
+    cv2.imwrite(str(tmp_path / "a.tiff"), signed.astype(np.int16))
+    assert np.array_equal(read_image(tmp_path / "a.tiff")[..., 1], signed.astype(np.int16).clip(0) >> 8)
+    for kind in ("int32", "float32"):
+        cv2.imwrite(str(tmp_path / f"{kind}.tif"), signed.astype(kind))
+        with pytest.raises(InputError, match=rf"{kind}\.tif: .*32-bit"):
+            read_image(tmp_path / f"{kind}.tif")
+    pictures = [PIL.Image.fromarray(wall(90, 120, seed=k)) for k in range(3)]
+    for name in ("a.webp", "a.png", "a.tif", "a.gif"):
+        pictures[0].save(tmp_path / name, save_all=True, append_images=pictures[1:])
+        assert np.abs(read_image(tmp_path / name).astype(float) - pictures[0]).mean() < 12
+    assert ["has 3 frames" in line for line in capfd.readouterr().err.splitlines()] == [True] * 4
+
+
+@pytest.mark.parametrize("kind", ["jpg", "png", "webp", "tif", "avif"])
+def test_photos_are_turned_as_they_say(tmp_path, kind):
+    picture = PIL.Image.fromarray(np.add.outer(np.arange(90), np.arange(120)).astype(np.uint8)).convert("RGB")
+    picture.getexif()[0x112] = 6
+    picture.save(tmp_path / f"a.{kind}", exif=picture.getexif())
+    assert np.abs(read_image(tmp_path / f"a.{kind}").astype(float) - np.rot90(picture, -1)).mean() < 3
 
 
 def test_intrinsics_are_those_of_the_cameras_rectified_projection(tmp_path):

@@ -17,13 +17,9 @@ def root(tmp_path):
     return tmp_path
 
 
-def numbers(targets):
-    return [frame.index for frame in targets]
-
-
 def test_targets_have_both_neighbours_in_number_of_the_same_drive_and_none_is_static(root):
-    assert numbers(drive_triplets(root, [DRIVE])) == [1, 2, 6, 7]
-    assert numbers(drive_triplets(root, [DRIVE], static={(DRIVE, 3), (OTHER, 6)})) == [1, 6, 7]
+    assert [frame.index for frame in drive_triplets(root, [DRIVE])] == [1, 2, 6, 7]
+    assert [frame.index for frame in drive_triplets(root, [DRIVE], static={(DRIVE, 3), (OTHER, 6)})] == [1, 6, 7]
     third = "2011_09_26/2011_09_26_drive_0003_sync"
     write_drive(root, [4, 5], OTHER, size=(8, 8))
     write_drive(root, [9], third, size=(8, 8))
@@ -38,12 +34,9 @@ def test_a_test_drive_is_refused_by_name(root, entry):
         drive_triplets(root, [entry], test_scenes={DRIVE})
 
 
-def test_all_drives_without_frames_are_named_in_one_message(root):
+def test_the_first_camera_that_has_frames_is_read_or_the_one_that_a_drive_names_and_all_drives_without_frames_are_named(root):
     with pytest.raises(InputError, match=f"no frames in {OTHER}/image_02, 2011_09_26/elsewhere/image_02"):
         drive_triplets(root, [DRIVE, OTHER, "2011_09_26/elsewhere"])
-
-
-def test_the_first_camera_that_has_frames_is_read_or_the_one_that_a_drive_names(root):
     for drive in (DRIVE, OTHER):
         write_drive(root, [0, 1, 2], drive, size=(8, 8), camera="image_00")
     (root / OTHER / "image_02" / "data").mkdir(parents=True)
@@ -62,11 +55,11 @@ def test_one_message_names_all_missing_files_in_one_line(root):
     assert "\n" not in message
 
 
-@pytest.mark.parametrize("suffixes", [(".png",), (".jpg",), (".jpg", ".png")])
+@pytest.mark.parametrize("suffixes", [(".png",), (".jpg",), (".jpg", ".png"), (".JPG", ".png", ".PNG", ".Jpg")])
 def test_written_targets_read_back_as_triplets_of_real_files(tmp_path, suffixes):
     write_calibration(tmp_path, focal=100.0)
     for first, suffix in enumerate(suffixes):  # a conversion that was stopped leaves both kinds
-        write_drive(tmp_path, range(2 * first, 4), size=(8, 8), suffix=suffix)
+        write_drive(tmp_path, range(first, 4), size=(8, 8), suffix=suffix)
     targets = drive_triplets(tmp_path, [DRIVE])
     write_triplets(tmp_path / "out/triplets.csv", tmp_path, raw_triplets(tmp_path, targets))
     triplets = load_triplets(tmp_path / "out/triplets.csv", tmp_path)

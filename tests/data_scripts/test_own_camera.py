@@ -24,14 +24,6 @@ def folder(tmp_path):
     return write_frames(tmp_path / "film", [frame(k) for k in range(40)])
 
 
-@pytest.fixture
-def run(tmp_path, checkout):
-    """A run of the profile `own`, of the film's size."""
-    profile = tmp_path / "own.yaml"
-    profile.write_text("about: a test\ndata: {source: own, hr_size: [192, 192]}\n")
-    return Run(str(profile), checkout)
-
-
 def images(root, drive):
     return sorted((root / drive / "image_02/data").iterdir())
 
@@ -49,8 +41,9 @@ def test_a_folder_becomes_a_data_set_whose_frames_are_the_very_files(folder, tmp
     assert "FAILED" not in own_camera.summary(made) and f"PROFILE={made.profile} KITTI_ROOT={made.root}" in own_camera.summary(made)
 
 
-def test_the_chain_reads_it_as_it_reads_kitti_but_has_no_truth(folder, tmp_path, run):
-    made = own_camera.make([folder], tmp_path / "out", **GIVEN)
+def test_the_chain_reads_it_as_it_reads_kitti_but_has_no_truth(folder, tmp_path, checkout):
+    (tmp_path / "own.yaml").write_text("about: a test\ndata: {source: own, hr_size: [192, 192]}\n")  # of the film's size
+    run, made = Run(str(tmp_path / "own.yaml"), checkout), own_camera.make([folder], tmp_path / "out", **GIVEN)
     sources = prepare_data.find_data(run, str(made.root))
     assert prepare_data.prepare(run) == (31, 4, 4, 0, 0)
     assert all(path.is_file() for t in load_triplets(run.prepared / "triplets.csv", sources.kitti_root) for path in t.paths)

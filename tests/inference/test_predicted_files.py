@@ -1,6 +1,7 @@
 """Which files are meant, in order and each once; names of results that do not clash and stay; and what is left to do."""
 
 import os
+import re
 import time
 from functools import partial
 
@@ -13,7 +14,7 @@ from dualdepth.inference.files import LONGEST, STAMP, find_inputs, plan
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    found, others = ["b.jpg", "a.PNG", "c.mp4", "ü x.tif", "sub/d.png"], ["notes.txt", ".hidden.png"]
+    found, others = ["b.jpg", "a.PNG", "c.mp4", "ü x.tif", "sub/d.png"], ["notes.txt", ".hidden.png", STAMP]
     for name in [*found, *others, "a.depth.png", "a.colour.png", "c.side.mp4"]:
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
@@ -25,24 +26,25 @@ def names(given):
     return [path.name for path in find_inputs(given)]
 
 
-def test_folders_and_patterns_stand_for_their_images_and_videos_and_each_file_comes_once_in_the_order_given(folder):
-    assert names([folder]) == ["a.PNG", "b.jpg", "c.mp4", "ü x.tif"]
+def test_folders_and_patterns_stand_for_their_images_and_videos_and_each_file_comes_once_in_the_order_given(folder, capsys):
+    assert names([folder]) == ["a.PNG", "b.jpg", "c.mp4", "ü x.tif"] and f"'{folder}/**/*'" in capsys.readouterr().err
     for name in ("10", "9", "9.5"):
         (folder / f"sub/f{name}.png").touch()
     assert names(["sub/f*"]) == ["f9.png", "f9.5.png", "f10.png"] == names(["sub"])[1:]
     assert names(["c.mp4", "sub/d*", ".", "./b.jpg"]) == ["c.mp4", "d.png", "a.PNG", "b.jpg", "ü x.tif"]
     assert names(["**/d.*png"]) == ["d.png"] == names(["**/[ad].*png"])  # results of before are left out
     assert names(["[ab].*"]) == ["a.PNG", "b.jpg"]
+    (folder / STAMP).unlink()
+    assert names(["[ac].*.*"]) == ["a.colour.png", "a.depth.png", "c.side.mp4"]  # of somebody else
     (folder / "[1].png").touch()  # a file is taken whatever it is called
     assert names(["notes.txt", "a.depth.png", "[1].png"]) == ["notes.txt", "a.depth.png", "[1].png"]
 
 
-@pytest.mark.parametrize(("given", "what"), [("gone.png", "such file"), ("*.xyz", "file matches"), ("empty", "images or videos")])
+@pytest.mark.parametrize(("given", "what"), [("gone.png", "such"), ("*.xyz", "file matches"), ("deep/in", "images"), ("deep", ".*'deep/")])
 def test_what_is_not_there_is_named(folder, given, what):
-    (folder / "empty").mkdir()
-    with pytest.raises(InputError) as error:
+    (folder / "deep/in").mkdir(parents=True)
+    with pytest.raises(InputError, match=rf"^{re.escape(given)}: no {what}"):
         find_inputs([given])
-    assert str(error.value).startswith(f"{given}: no {what}")
 
 
 OPTIONS = {"weights": "w", "scale": "1.0"}

@@ -30,11 +30,6 @@ def measure(before, after):
     return motion(small_copy(before), small_copy(after), FOCAL)
 
 
-def spans(film):
-    """First and last frame of each drive."""
-    return [(d.numbers[0], d.numbers[-1]) for d in film.drives]
-
-
 def test_flow_is_the_share_of_the_width_and_a_turn_is_told_from_travelling():
     wide = wall(300, 600)
     moved = measure(wide[:, 20:532], wide[:, 26:538])
@@ -65,7 +60,8 @@ MISSING = [k for k in range(40) if k not in (17, 18)]
 )
 def test_a_film_is_cut_at_its_breaks_and_what_is_left_out_is_counted(film_of, places, names, expected, counts):
     film = film_of([frame(**place) for place in places], names)
-    assert spans(film) == expected and failed(film) == [] and counts.items() <= film.counts.items()
+    spans = [(drive.numbers[0], drive.numbers[-1]) for drive in film.drives]
+    assert spans == expected and failed(film) == [] and counts.items() <= film.counts.items()
 
 
 def test_a_film_of_too_many_frames_a_second_gets_a_stride_that_makes_up_for_it(film_of):

@@ -7,19 +7,11 @@ from data_scripts.own.dataset import fitting_size, profile_text, read_record
 from dualdepth.errors import InputError
 from dualdepth.profile import Profile, load_profile
 
+PAPER = {(375, 1242): (384, 1248), (370, 1226): (384, 1248)}  # KITTI's frames and the size in the paper
+OTHERS = {(1080, 1920): (480, 864), (720, 1280): (480, 864), (480, 640): (480, 672), (1920, 1080): (864, 480), (200, 200): (192, 192)}
 
-@pytest.mark.parametrize(
-    ("frames", "expected"),
-    [
-        ((375, 1242), (384, 1248)),  # KITTI: the paper's size
-        ((370, 1226), (384, 1248)),
-        ((1080, 1920), (480, 864)),
-        ((720, 1280), (480, 864)),
-        ((480, 640), (480, 672)),
-        ((1920, 1080), (864, 480)),
-        ((200, 200), (192, 192)),
-    ],
-)
+
+@pytest.mark.parametrize(("frames", "expected"), (PAPER | OTHERS).items())
 def test_the_size_is_the_largest_of_nearly_the_frames_shape(frames, expected):
     assert fitting_size(frames) == expected
 
