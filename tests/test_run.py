@@ -54,11 +54,9 @@ def test_the_revision_is_this_checkouts_own_and_not_that_of_a_repository_around_
         return Run("tiny")._revision
 
     assert revision_after_commit(project.parent) == {"revision": "unknown", "dirty": False}
-    monkeypatch.setenv("GIT_DIR", str(project.parent / ".git"))  # as a hook of that repository has it
-    assert Run("tiny")._revision["revision"] == "unknown"
-    monkeypatch.delenv("GIT_DIR")
     own = revision_after_commit(project)
-    assert len(own["revision"]) == 40 and own["dirty"]
+    monkeypatch.setenv("GIT_DIR", str(project.parent / ".git"))  # as a hook of that repository has it
+    assert len(own["revision"]) == 40 and own["dirty"] and Run("tiny")._revision == own
     monkeypatch.setenv("PATH", "")
     assert Run("tiny")._revision["revision"] == "unknown"
 
