@@ -70,7 +70,7 @@ def write_json(path: str | Path, value: Any) -> None:
 
 def short_digest(*parts: str) -> str:
     """The first 16 hex digits of the parts' sha256."""
-    return hashlib.sha256(" ".join(parts).encode()).hexdigest()[:16]
+    return hashlib.sha256(" ".join(parts).encode("utf-8", "surrogateescape")).hexdigest()[:16]
 
 
 def file_digest(path: Path) -> str | None:

@@ -33,7 +33,7 @@ def run_chain(profile: str, roots: Mapping[str, str], seeds: str, allow_leak: bo
     check_roots(roots)
     config = {
         "profile": str(Path(profile).resolve()) if Path(profile).is_file() else profile,
-        "seeds": ",".join(map(str, parse_seeds(seeds) or run.profile.seeds)),
+        "seeds": ",".join(map(str, parse_seeds(seeds or ",".join(map(str, run.profile.seeds))))),
         **{name: str(Path(value).resolve()) if value else "" for name, value in roots.items()},
         "allow_leak": int(allow_leak),
     }

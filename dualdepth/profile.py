@@ -154,12 +154,13 @@ def load_profile(name: str) -> Profile:
 class Once(yaml.SafeLoader):
     """Reads YAML, in which no key may stand twice in a mapping."""
 
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        """A mapping."""
-        keys = [key.value for key, _ in node.value]
-        if twice := {str(key) for key in keys if keys.count(key) > 1}:
+    def compose_mapping_node(self, anchor: str | None) -> yaml.MappingNode:
+        """A mapping, as it is written."""
+        node = super().compose_mapping_node(anchor)
+        keys = [str(key.value) for key, _ in node.value]
+        if twice := {key for key in keys if keys.count(key) > 1}:
             raise ValueError(f"line {node.start_mark.line + 1}: {', '.join(sorted(twice))} stands twice")
-        return super().construct_mapping(node, deep)
+        return node
 
 
 def _read(name: str) -> tuple[Path, dict[str, Any]]:

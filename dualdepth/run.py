@@ -10,6 +10,7 @@ import datetime
 import functools
 import hashlib
 import json
+import os
 import platform
 import re
 import shutil
@@ -187,8 +188,9 @@ class Run:
         """Revision of the checkout whose code this run loaded, and whether it was changed since; not of a repository around it."""
 
         def git(*words: str) -> str:
-            place = ["--git-dir", str(self.root / ".git"), "--work-tree", str(self.root)]
-            return subprocess.run(["git", *place, *words], capture_output=True, text=True, check=False).stdout.strip()
+            own = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}  # a hook's are its repository's
+            command = ["git", "--git-dir", str(self.root / ".git"), "--work-tree", str(self.root), *words]
+            return subprocess.run(command, capture_output=True, text=True, check=False, env=own).stdout.strip()
 
         own = shutil.which("git") and git("rev-parse", "HEAD")
         return {"revision": own or "unknown", "dirty": bool(own and git("status", "--porcelain"))}

@@ -210,8 +210,8 @@ class Training(Settings):
     a training ends in the precision in which it began, and its card says which that was."""
     channels_last: bool = True
     compile: bool = False
-    """Whether `torch.compile` makes one program of a step, in minutes, before the first one; where it cannot, a line says so and training
-    goes on without. On CPUs a short training does not get these minutes back (docs/speed.md); not measured on GPUs."""
+    """Whether `torch.compile` makes one program of a step, which takes minutes; where a forward pass cannot be compiled, a line says so
+    and training goes on without. On CPUs a short training does not get these minutes back (docs/speed.md); not measured on GPUs."""
     workers: int = Field(2, ge=0)
     """Loader processes."""
     accumulate: int = Field(1, ge=1)

@@ -146,7 +146,6 @@ BAD_VARIANTS = [
     ("train: {lr: {training.lr.epoch: 3}}\n", r"variant lr: unknown setting training.lr.epoch; did you mean training.lr.epochs\?"),
     ("train: {lr: {training.lrr.epochs: 3}}\n", r"variant lr: unknown setting training.lrr.epochs; did you mean training.lr.epochs\?"),
     ("train: {lr: {training.lr.epochs: none}}\n", "variant lr: training.lr.epochs"),
-    ("train: {lr: {training: {workers: 1}}}\n", "variant lr: training is no single setting of training"),
     ("train: {lr: {training.loss: {feature: 0}}}\n", "variant lr: training.loss is no single setting of training"),
     ("train: {lr: {data.hr_size: [192, 288]}}\n", "variant lr: data.hr_size is no single setting of training"),
     ("train: {lr: , mine: }\n" + mine("lr, set: {training.lr.foo: 3}"), "variant mine: unknown setting training.lr.foo"),

@@ -114,7 +114,7 @@ def machine(device: torch.device, precision: Precision) -> tuple[float, float]:
 
 def floors(name: str, training: Training, batch: dict[str, Any], device: torch.device, precision: Precision) -> dict[str, float]:
     """Seconds below which the parts of a step cannot come: by its networks' multiply-accumulates, of which what learns needs twice as many
-    for gradients, and, of the losses, by reading images and disparities of all scales and writing gradients once, in float32."""
+    for gradients, and, of the losses, by reading images and disparities of all scales once, in float32."""
     images = to_unit(batch["images"].cpu())
     small, (size, _, _, height, width) = low_resolution(images), images.shape
     net = LRNet(training.encoder) if name == "lr" else make_net(name)
@@ -125,7 +125,7 @@ def floors(name: str, training: Training, batch: dict[str, Any], device: torch.d
     pixels = size * height * width / (9 if name == "lr" else 1) * sum(0.25**scale for scale in range(training.loss.scales))
     return {
         "networks": macs / peak,
-        "losses": pixels * (9 + 1 + 1) * 4 / bandwidth,
+        "losses": pixels * (9 + 1) * 4 / bandwidth,
         "backward": 2 * (macs - size * frozen) / peak,
         "optimiser": 7 * 4 * sum(p.numel() for p in net.parameters() if p.requires_grad) / bandwidth,  # weight, gradient, two moments
     }

@@ -49,8 +49,9 @@ def scaled(camera: Camera, size: tuple[int, int], what: str) -> Camera:
     if camera.size == size:
         return camera._replace(size=size)  # whole numbers
     (height, width), (fx, fy, cx, cy) = camera.size, camera[:4]
-    if not (min(height, width) > 0 and 0.98 < size[1] / width * height / size[0] < 1.02):
-        sizes = f"is of {width:g}×{height:g} pixels, the frames, {size[1]}×{size[0]}, have another shape"
+    crop = 0.9 < size[1] / (width or 1) < 1.1  # Nobody scales by so little.
+    if crop or not (min(height, width) > 0 and 0.98 < size[1] / width * height / size[0] < 1.02):
+        sizes = f"is of {width:g}×{height:g} pixels, the frames, {size[1]}×{size[0]}, have another shape or are another crop"
         raise InputError(f"{what}: {sizes}; calibrate with frames of the same mode")
     x, y, origin = size[1] / width, size[0] / height, f"{camera.origin}, scaled from {width:g}×{height:g}"
     return Camera(fx * x, fy * y, (cx + 0.5) * x - 0.5, (cy + 0.5) * y - 0.5, size, origin, camera.distortion)

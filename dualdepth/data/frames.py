@@ -48,10 +48,10 @@ def media(paths: Iterable[Path], where: object, videos: bool = True) -> list[Pat
     """Images, and `videos` if wanted, among files of a place, in natural order; an `InputError` if there are none. A note tells of others,
     but for texts and hidden files, and of a folder's own folders."""
     parts, what, usable = _parts(paths), "images or videos" if videos else "images", []
-    inside = [path for path in parts if path.is_dir() and path.name[0] != "." and not (path / "predictions.json").exists()]
+    inside = [path for path in parts if path.is_dir() and path.name[:1] != "." and not (path / "predictions.json").exists()]
     below = len(inside) if Path(str(where)).is_dir() else 0
     folders = f"folders in it ({below}) are not looked into; " + (f"'{where}/**/*' stands for all" if videos else "give one of them")
-    files = [p for p in sorted(parts, key=lambda p: (parts[p], p)) if p.name[0] != "." and p.suffix.lower() not in TEXTS and p.is_file()]
+    files = [p for p in sorted(parts, key=lambda p: (parts[p], p)) if p.name[:1] != "." and p.suffix.lower() not in TEXTS and p.is_file()]
     for path in files:
         with contextlib.suppress(InputError):
             if path.suffix.lower() in IMAGES + VIDEOS * videos or is_image(path) or (videos and Video(path).close() is None):
@@ -197,7 +197,11 @@ def _numbered_images(folder: Path) -> dict[int, Path]:
     """Image files by their place in time: the last number of the name, in usual steps; where it does not rise, places in natural order.
     Numbers from nearly 0 to nearly 9999 (or 999, …), with a gap of more than half of that, are of a counter that rolled over."""
     there, said = media(folder.iterdir(), folder, videos=False), ""
-    files = [*{file.stem: file for file in there[::-1]}.values()][::-1]  # the first of a stem; JPEG comes before PNG, which may be depth
+    one: dict[str, Path] = {}
+    for file in there:
+        stem = file.stem if file.suffix.lower() in IMAGES else file.name
+        one[stem] = min(one.get(stem, file), file, key=lambda path: path.suffix.lower())  # a PNG beside a JPEG may be depth
+    files = list(one.values())
     if len(files) < len(there):
         note(f"{folder}: {len(there) - len(files)} of {len(there)} images are left out, since others have their names but for the ending")
     numbers = [(parts[-2:-1] or [0])[0] for parts in _parts(Path(file.name) for file in files).values()]
