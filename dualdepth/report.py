@@ -84,12 +84,13 @@ def headline(main: pd.DataFrame) -> str:
     ours = main[main["source"] == "measured"].set_index("method")
     measured = ours["abs_rel"].dropna()
     names = {
-        "LR-Net + HR-Net, w/ SA": "the dual network's depth {}",
-        "LR-Net": "LR-Net's {}",
-        "Train set mean": "the mean depth map of other streets {}",
+        "LR-Net + HR-Net, w/ SA": "the dual network's{depth} {off}",
+        "LR-Net": "LR-Net's{depth} {off}",
+        "Train set mean": "the mean depth map of other streets {off}",
     }
     shares = [(words, f"by {measured[method]:.1%}") for method, words in names.items() if method in measured]
-    said = [words.format(f"is off {share} on average" if not place else share) for place, (words, share) in enumerate(shares)]
+    said = [words.format(depth="", off=share) for words, share in shares]
+    said[:1] = [words.format(depth=" depth", off=f"is off {share} on average") for words, share in shares[:1]]
     if not said:
         return "Nothing was scored; what was learned shows in the pictures."
     leaked = "leak" in ours and ours["leak"].fillna("").ne("").any()

@@ -105,8 +105,8 @@ def compared(a: np.ndarray, b: np.ndarray, *, lower_is_better: bool, block: int 
     """Means, difference, intervals and words for values (S seeds, N images) of two methods."""
     images = np.shape(a)[1]
     row = {"n": images, "better": "lower" if lower_is_better else "higher"}
-    if images < 2:
-        return row | {"reason": f"{images} {'image' if images == 1 else 'images'}"}
+    if images < 2 * block:
+        return row | {"reason": f"{images} {'image' if images == 1 else 'images'}" + f", too few for runs of {block}" * (block > 1)}
     result = compare(a, b, block=block)
     return row | {**result._asdict(), "in_words": in_words(result, lower_is_better)}
 
