@@ -150,5 +150,5 @@ def test_a_run_ends_with_what_was_learned_and_where_to_look(tmp_path):
         assert words in said
     assert "50.0%" not in said and "%" not in headline(table.assign(abs_rel=np.nan))
     alone = headline(table.assign(abs_rel=table["abs_rel"].mask(table["method"].str.contains("HR-Net"))))
-    assert "LR-Net's is off by 20.0% on average" in alone  # also the sentence of a profile without a dual network is one
+    assert "LR-Net's depth is off by 20.0% on average" in alone  # also the sentence of a profile without a dual network is one
     assert headline(table.assign(leak="LEAK: trained on d")).split(",")[0] != headline(table).split(",")[0]

@@ -202,8 +202,7 @@ def evaluate_parts(
                 rows[part] = metrics(truth, depth) | {"scale_ratio": ratio, "valid_pixels": len(truth)}
         return rows if pixels else None
 
-    with ThreadPoolExecutor(os.cpu_count()) as pool:  # unpacking, sorting and resizing let other threads run
-        # shown in a terminal only: a bar in a pipe would break the one-line error
+    with ThreadPoolExecutor(os.cpu_count()) as pool:  # unpacking and resizing let others run; a bar in a pipe would break one-line errors
         images = list(tqdm(pool.map(score, range(count)), "scoring", count, unit="image", disable=None, leave=False))
     rows = {(number, part): row for number, image in enumerate(images) for part, row in (image or {}).items()}
     if not rows:
