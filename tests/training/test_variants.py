@@ -254,7 +254,7 @@ SPOILT = {
     ),
     "no card": (
         lambda run: run.weights("lr", 0).with_suffix(".json").unlink(),
-        f"{CARD}: no such file; keep the weights' card beside them$",
+        f"{CARD}: no such file; keep the weights' card beside them",
     ),
     "another network": (lambda run: change_card(run, network="dual"), f"{WEIGHTS}: its card has network 'dual' .*; train lr again"),
     "another backbone": (lambda run: change_card(run, encoder="x"), f"{WEIGHTS}: its card has encoder 'x' instead of .*; train lr again"),
