@@ -119,7 +119,7 @@ def test_the_copy_that_ran_with_the_notebooks_own_parameters_is_stored(project):
     with pytest.raises(InputError, match=r"holds no copy of 05_a\.ipynb with its own parameters; run `make reproduce` first"):
         publish_notebooks()
     assert source.read_bytes() == before
-    write_notebook(executed / "05_a-seed0.ipynb", "of the defaults", {"profile": "tiny", "seed": 0, "beside": 5})
+    write_notebook(executed / "05_a-seed0.ipynb", f"{project}/of the defaults", {"profile": "tiny", "seed": 0, "beside": 5})
     assert publish_notebooks() == 1
     stored = nbformat.read(source, as_version=4)
     assert [cell["outputs"][0]["text"] for cell in stored.cells if cell.get("outputs")] == ["of the defaults"]

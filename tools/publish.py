@@ -100,7 +100,7 @@ def _default_copy(source: Path, folder: Path) -> Path:
 
 
 def _store(executed: Path, target: Path, small: bool = False) -> None:
-    """Write an executed notebook without papermill's traces, with cells, their ids and the names of styled tables numbered anew."""
+    """Write an executed notebook without papermill's traces and the checkout's place, with cells, ids and styled tables numbered anew."""
     import nbformat
 
     notebook = nbformat.read(executed, as_version=4)
@@ -122,8 +122,9 @@ def _store(executed: Path, target: Path, small: bool = False) -> None:
                 data["text/html"] = re.sub(r"\bT_[0-9a-f]{5}(?=\b|_)", f"T_{count}_{place}", html)
             if small and "image/png" in data:
                 data["image/jpeg"] = _small_jpeg(data.pop("image/png"))
+    checkout = f"{executed.resolve().parents[3]}/"  # messages name files by their whole path
     with atomic_path(target) as partial:
-        nbformat.write(notebook, partial)
+        partial.write_text(nbformat.writes(notebook).replace(checkout, "") + "\n", encoding="utf-8")
 
 
 def _small_jpeg(png: str) -> str:
