@@ -33,13 +33,18 @@ def pose_matrix(pose: Tensor) -> Tensor:
     return torch.cat([rows, last], dim=-2)
 
 
+def pose_of(transform: Tensor) -> Tensor:
+    """The pose (…, 6) whose `pose_matrix` is a rigid transform (…, 4, 4), for a turn about y of less than a right angle."""
+    x = torch.atan2(-transform[..., 1, 2], transform[..., 2, 2])
+    z = torch.atan2(-transform[..., 0, 1], transform[..., 0, 0])
+    angles = torch.stack([x, torch.asin(transform[..., 0, 2].clamp(-1, 1)), z], -1)
+    return torch.cat([transform[..., :3, 3], angles], dim=-1)
+
+
 def inverse_pose(pose: Tensor) -> Tensor:
     """The pose (…, 6) whose `pose_matrix` is the inverse of that of `pose` (…, 6), for a turn about y of less than a right angle."""
     turned = rotation_matrix(pose[..., 3:]).mT
-    x = torch.atan2(-turned[..., 1, 2], turned[..., 2, 2])
-    z = torch.atan2(-turned[..., 0, 1], turned[..., 0, 0])
-    angles = torch.stack([x, torch.asin(turned[..., 0, 2]), z], -1)
-    return torch.cat([-(turned @ pose[..., :3, None])[..., 0], angles], dim=-1)
+    return pose_of(torch.cat([turned, -turned @ pose[..., :3, None]], dim=-1))
 
 
 def resize_intrinsics(intrinsics: Tensor, scale_x: float, scale_y: float) -> Tensor:

@@ -18,10 +18,11 @@ from dualdepth.data.kitti import read_image
 from dualdepth.device import Precision, choose_device, inference_precision
 from dualdepth.errors import InputError
 from dualdepth.evaluation.depth import resize_bilinear
-from dualdepth.geometry import low_resolution, pose_matrix, to_unit
+from dualdepth.geometry import low_resolution, pose_matrix, resize_intrinsics, to_unit
 from dualdepth.networks import PoseEncoder
 from dualdepth.networks.architecture import Architecture, HRSize
 from dualdepth.networks.pose_net import EncoderPoseNet, PoseNet, make_pose_net
+from dualdepth.refinement import refined
 from dualdepth.training.weights import HUB_CARD, load_card, load_weights, save_weights
 
 WEIGHTS = "model.safetensors"
@@ -216,12 +217,22 @@ def load_pose_net(weights: str | Path, device: str | torch.device = "cpu") -> tu
 
 
 @torch.inference_mode()
-def predict_poses(net: PoseNet | EncoderPoseNet, size: tuple[int, int], paths: Sequence[str | Path], *, batch_size: int = 16) -> np.ndarray:
+def predict_poses(
+    net: PoseNet | EncoderPoseNet,
+    size: tuple[int, int],
+    paths: Sequence[str | Path],
+    depth: DepthModel | None = None,
+    intrinsics: np.ndarray | None = None,
+    *,
+    batch_size: int = 16,
+) -> np.ndarray:
     """Motions between the neighbouring frames of a sequence, `batch_size` targets at a time; each frame is decoded once.
 
     Args:
         net, size: from `load_pose_net`.
         paths: N ≥ 3 consecutive frames.
+        depth, intrinsics: with the depth network that learned beside PoseNet poses are `refined`, beyond the paper, and with the (3, 3) of
+            the frames as they are; None leaves PoseNet's.
 
     Returns:
         (N − 2, 2, 4, 4) float64: for each frame but the first and last, as target, the pose that maps its coordinates to the previous
@@ -234,13 +245,21 @@ def predict_poses(net: PoseNet | EncoderPoseNet, size: tuple[int, int], paths: S
         raise InputError(f"{len(paths)} frames: PoseNet sees three at a time")
     device = next(net.parameters()).device
     frames: list[Tensor] = []
+    near: list[Tensor] = []
     poses = []
     for number, path in enumerate(tqdm(paths, desc="predicting poses", unit="image"), 1):
-        frames.append(low_resolution(to_unit(tensor_of(read_image(path), size))[None])[0])
+        image = read_image(path)
+        frames.append(low_resolution(to_unit(tensor_of(image, size))[None])[0])
+        near += [torch.from_numpy(depth.disparities([image]))] if depth else []
         if len(frames) == batch_size + 2 or (number == len(paths) and len(frames) > 2):
-            views = [torch.stack([frames[i], frames[i - 1], frames[i + 1]]) for i in range(1, len(frames) - 1)]
-            poses.append(pose_matrix(net(torch.stack(views).to(device)).double()).cpu())
-            frames = frames[-2:]
+            views = torch.stack([torch.stack([frames[i], frames[i - 1], frames[i + 1]]) for i in range(1, len(frames) - 1)]).to(device)
+            found = net(views)
+            if depth:
+                share = (views.shape[-1] / image.shape[1], views.shape[-2] / image.shape[0])
+                matrix = resize_intrinsics(torch.tensor(intrinsics, dtype=torch.float32, device=device), *share)
+                found = refined(views, torch.stack(near[1:-1]).to(device), found, matrix.expand(len(views), 3, 3))
+            poses.append(pose_matrix(found.double()).cpu())
+            frames, near = frames[-2:], near[-2:]
     return torch.cat(poses).numpy()
 
 

@@ -44,8 +44,6 @@ class Profile(Settings):
             raise ValueError(
                 "hr_size 192x192 needs precision float32: PoseNet ends in 1x1 maps there, whose bf16 gradients torch 2.13 gets wrong"
             )
-        if self.training.hr.beyond_paper_residual_heads and not self.training.beyond_paper_residual:
-            raise ValueError("training.hr.beyond_paper_residual_heads needs training.beyond_paper_residual, whose start it is")
         if (self.data.source == "miniature") != (self.world is not None):
             raise ValueError("data.source: miniature needs a section `world`, and only it")
         for name in self.train:

@@ -172,9 +172,6 @@ class SecondStage(StageSettings):
 
     beyond_paper_frozen_pose: bool = False
     """Beyond the paper: PoseNet stays as stage 1 left it, which saves a part of each step (docs/learning.md, "Real KITTI")."""
-    beyond_paper_residual_heads: float = Field(0.0, ge=0.0)
-    """Beyond the paper: first weights of the heads of an HR-Net that adds to LR-Net's logits, as a share of Xavier's; at 0 it begins with
-    LR-Net's depth to the bit."""
 
 
 class Training(Settings):
@@ -199,6 +196,10 @@ class Training(Settings):
     """Beyond the paper: in so many first steps of stage 1 PoseNet learns alone, from frames that it takes for a level road between
     walls (`stages.corridor`), the paper's PoseNet at a rate of 1e-3. Depth then begins with motions that turn; else it takes turns upon
     itself."""
+    beyond_paper_refined_after: int | None = Field(None, ge=0)
+    """Beyond the paper: after so many steps of stage 1, and in stage 2 from its first, PoseNet's poses are refined by direct image
+    alignment before images are compared (`refinement.py`), and PoseNet learns from the refined ones; None never does. Before depth has a
+    shape, alignment finds wrong poses."""
     beyond_paper_pose_encoder: PoseEncoder | None = None
     """Beyond the paper: PoseNet is such an encoder, begun like LR-Net's, with a small head behind it, as in monodepth2; depth then learns
     sooner."""

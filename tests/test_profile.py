@@ -135,7 +135,6 @@ BAD_SETTINGS = [
     ("  hr_size: [96, 288]\n", "hr_size"),
     ("  train_list: eigen_zhou\n", "train_list or train_drives"),
     ("world: {static_frames: 50}\n", "static_frames 50 is more than frames_per_drive 40"),
-    ("training: {hr: {beyond_paper_residual_heads: 0.1}}\n", "beyond_paper_residual_heads needs training.beyond_paper_residual"),
     ("seeds: [4294967296]\n", "seeds.0"),
     ("training: {workers: 1}\ntraining: {accumulate: 2}\n", "training stands twice"),
     ("world: {test_seed: 1}\n", "the scored streets would be the training streets"),

@@ -6,11 +6,20 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from dualdepth.data.odometry import Trajectory, drives_of, frame_files, poses_path, read_trajectory, sequence_of, write_trajectory
+from dualdepth.data.odometry import (
+    Trajectory,
+    drives_of,
+    frame_files,
+    poses_path,
+    read_trajectory,
+    sequence_intrinsics,
+    sequence_of,
+    write_trajectory,
+)
 from dualdepth.device import default_device
 from dualdepth.errors import InputError
 from dualdepth.evaluation.odometry import ALIGNMENTS, constant_velocity, inverted, mean_step, snippet_errors, snippets, trajectory_errors
-from dualdepth.model import load_pose_net, predict_poses
+from dualdepth.model import DepthModel, load_pose_net, predict_poses
 from dualdepth.run import Run, Sources
 from dualdepth.tables.scores import Trained
 
@@ -66,7 +75,10 @@ def predicted_motions(training: Trained, entry: str) -> np.ndarray:
     files = list(sequence_frames(training.run, entry).values())
     frames = [[str(f.resolve()), f.stat().st_size, f.stat().st_mtime_ns] for f in files]
     name = f"motions_{'_'.join(sequence_of(entry))}.npy"
-    return training.kept(name, {"frames": frames}, lambda: predict_poses(*load_pose_net(training.weights, default_device()), files))
+    depth: tuple[DepthModel, np.ndarray] | tuple[()] = ()
+    if training.card.get("refined"):
+        depth = training.model, sequence_intrinsics(Sources.load(training.run).odometry_root, entry)
+    return training.kept(name, {"frames": frames}, lambda: predict_poses(*load_pose_net(training.weights, default_device()), files, *depth))
 
 
 def follow(training: Trained, entry: str) -> pd.DataFrame:

@@ -112,6 +112,8 @@ class Trainer:
         if self.settings.compile:
             model.forward = torch.compile(model.forward, dynamic=False)
         self.corridor_steps = self.settings.beyond_paper_corridor_steps if model.low else 0
+        after = self.settings.beyond_paper_refined_after
+        self.unrefined_steps = self.total if after is None else after if model.low else 0
         if 0 < self.total <= self.corridor_steps:
             corridor = f"beyond_paper_corridor_steps {self.corridor_steps}"
             raise InputError(f"{corridor} leave the depth network none of stage 1's {self.total} steps: lower them, or train longer")
@@ -190,7 +192,7 @@ class Trainer:
     def _step(self, step: int, batches: Iterator[dict[str, Any]], logged: bool) -> tuple[StageOutput, list[dict[str, torch.Tensor]]]:
         """One optimisation step over all parts of its batch: the last part's output, and, where it is logged, each part's statistics."""
         accelerator, accumulate = self.accelerator, self.settings.accumulate
-        in_a_corridor = step <= self.corridor_steps
+        in_a_corridor, refine = step <= self.corridor_steps, step > self.unrefined_steps
         faster = in_a_corridor and not self.settings.beyond_paper_pose_encoder  # whose ImageNet weights a high rate would spoil
         for group in self.optimizer.param_groups:
             group["lr"] = CORRIDOR_RATE if faster else learning_rate(self.stage, step - 1, self.total)
@@ -204,11 +206,11 @@ class Trainer:
             torch.manual_seed((self.seed * self.total + step) * self.parts + draw)
             with contextlib.nullcontext() if part == accumulate - 1 else accelerator.no_sync(self.model):
                 try:
-                    output = self.model(batch, in_a_corridor)
+                    output = self.model(batch, in_a_corridor, refine)
                 except torch._dynamo.exc.TorchDynamoException as error:  # before anything was computed
                     note(f"training.compile does not work here ({str(error).splitlines()[0]}); training goes on without it")
                     torch.compiler.set_stance("force_eager")
-                    output = self.model(batch, in_a_corridor)
+                    output = self.model(batch, in_a_corridor, refine)
                 self._check_finite("loss", output.losses.total, step, names)
                 self._check_finite("pose", output.poses.sum(), step, names)  # its pixels count as unseen, so the loss is blind to it
                 accelerator.backward(output.losses.total / accumulate)

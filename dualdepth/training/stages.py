@@ -9,6 +9,7 @@ from torch.nn import functional as F
 from dualdepth.geometry import low_resolution, resize_intrinsics, to_unit
 from dualdepth.losses import Losses, total_loss
 from dualdepth.networks.pose_net import EncoderPoseNet, PoseNet
+from dualdepth.refinement import refined
 from dualdepth.settings import Training
 
 WALLS = 5.5  # How far aside a corridor's walls stand, in heights of the camera: 9 metres for one that is 1.65 metres above the road.
@@ -64,10 +65,11 @@ class Stage(nn.Module):
         self.pose_net.train(mode and next(self.pose_net.parameters()).requires_grad)
         return self
 
-    def forward(self, batch: dict[str, Any], in_a_corridor: bool = False) -> StageOutput:
+    def forward(self, batch: dict[str, Any], in_a_corridor: bool = False, refine: bool = False) -> StageOutput:
         """Losses of a batch with `images` (B, 3, 3, H, W) uint8, target first, and `intrinsics` (B, 3, 3).
 
         In a corridor the depth network is left out: a road between walls stands for what it would say, so that PoseNet learns alone.
+        Where poses are to be refined, losses take the refined ones, and PoseNet learns to say them at once.
         """
         images, matrix = to_unit(batch["images"]), batch["intrinsics"]
         seen = recoloured(images, self.colour) if self.colour and self.training else images  # by the networks; losses compare `images`
@@ -91,7 +93,14 @@ class Stage(nn.Module):
             features = output.features.unflatten(0, views.shape[:2])
         with torch.autocast(images.device.type, enabled=False):
             pair = (features[:, 0], features[:, 1:]) if with_features else None
+            predicted = poses
+            if refine:
+                share = small.shape[-1] / images.shape[-1]
+                small_matrix = resize_intrinsics(matrix, share, share)
+                poses = refined(small, disparities[0], predicted, small_matrix, self.loss.mean_disparity)
             losses = total_loss(images, matrix, disparities, poses, self.loss, pair)
+            if refine:
+                losses = losses._replace(total=losses.total + (predicted - poses).abs().mean())
         scale = getattr(getattr(self.depth_net, "attention", None), "scale", None)
         return StageOutput(losses, images[:, 0], disparities[0].detach(), poses.detach(), features[:, 0].detach(), scale)
 

@@ -63,6 +63,7 @@ def train_variant(run: Run, name: str, seed: int) -> Path:
             "drives": sorted(set(drives) | set(before["drives"] if before else ())),
             "pose_encoder": profile.training.beyond_paper_pose_encoder,
             "frozen_pose": bool(start) and profile.training.hr.beyond_paper_frozen_pose,
+            "refined": profile.training.beyond_paper_refined_after is not None,
             "average": profile.training.beyond_paper_average,
             "starts_from": {k: before[k] for k in ("variant", "seed", "steps", "sha256")} if before else None,
             "stamp": run.stamp([run.index(name), *([start] if start else [])]),
@@ -121,7 +122,7 @@ def make_stage(profile: Profile, name: str, start: Path | None = None) -> Stage:
     if profile.architecture(name).residual:
         depth_net.floor.fill_(training.beyond_paper_residual_floor)
         for head in depth_net.hr_net.decoder.heads:
-            nn.init.xavier_uniform_(head.weight, training.hr.beyond_paper_residual_heads)
+            nn.init.zeros_(head.weight)
     if start:
         stage.pose_net.requires_grad_(not training.hr.beyond_paper_frozen_pose)
         load_weights(start, stage.pose_net, prefix="pose_net.")

@@ -10,13 +10,14 @@ from torch import nn
 
 from dualdepth.data.frames import resample
 from dualdepth.data.kitti import read_image
-from dualdepth.data.odometry import read_trajectory, write_trajectory
+from dualdepth.data.odometry import read_trajectory, sequence_intrinsics, write_trajectory
 from dualdepth.errors import InputError
 from dualdepth.evaluation.odometry import relative, snippet_errors, snippets, yaw_and_step
-from dualdepth.geometry import pose_matrix
-from dualdepth.model import predict_poses
+from dualdepth.geometry import low_resolution, pose_matrix, resize_intrinsics, to_unit
+from dualdepth.model import predict_poses, tensor_of
 from dualdepth.networks.architecture import Architecture
 from dualdepth.networks.pose_net import PoseNet
+from dualdepth.refinement import refined
 from dualdepth.run import Run, Sources
 from dualdepth.tables import odometry as table_module
 from dualdepth.tables.odometry import odometry_claims, odometry_scores, odometry_table, trajectory_table
@@ -145,6 +146,26 @@ def test_motions_are_kept_as_long_as_weights_and_frames_are_the_same(run, net, t
     assert (times(), times()) == (2, 2)
     save(run, PoseNet(), [])
     assert (times(), times()) == (3, 3)
+
+
+def test_motions_are_refined_with_the_depth_that_learned_beside_posenet(run, net, tmp_path):
+    torch.manual_seed(0)
+    card = {"hr_size": list(SIZE), "refined": True, "drives": [], "pretrained": False, "steps": 2, "starts_from": None, "seed": 0}
+    architecture = Architecture(network="lr", encoder="resnet18")
+    both = torch.nn.ModuleDict({"pose_net": net, "depth_net": architecture.build(False)})
+    save_weights(run.weights("odometry_lr", 0), both, card | architecture.model_dump())
+    files = sorted((tmp_path / "data/sequences/09/image_2").iterdir())
+    images = [read_image(file) for file in files]
+    small = torch.stack([low_resolution(to_unit(tensor_of(image, SIZE))[None])[0] for image in images])
+    views = torch.stack([small[1:-1], small[:-2], small[2:]], 1)
+    near = torch.from_numpy(training(run).model.disparities(images[1:-1]))[:, None]
+    raw = torch.tensor(sequence_intrinsics(tmp_path / "data", "09"), dtype=torch.float32)
+    matrix = resize_intrinsics(raw, 64 / images[0].shape[1], 64 / images[0].shape[0]).expand(6, 3, 3)
+    with torch.inference_mode():
+        expected = pose_matrix(refined(views, near, net(views), matrix).double())
+    found = predicted_motions(training(run), "09")
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+    assert np.abs(found - predict_poses(net, SIZE, files)).max() > 1e-3
 
 
 def test_weights_that_saw_the_sequences_raw_drive_are_refused_or_named_in_the_table(run, net):

@@ -135,6 +135,22 @@ def test_in_a_corridor_posenet_learns_alone(batch, asked):
     assert set(output.statistics) == set(seen_stage(low=True)(batch).statistics)
 
 
+@pytest.mark.parametrize("low", [True, False])
+def test_losses_take_refined_poses_and_posenet_learns_them_alone(batch, asked, monkeypatch, low):
+    given, better = [], torch.linspace(0, 0.02, 24).reshape(2, 2, 6)
+    monkeypatch.setattr(stages, "refined", lambda *a: given.append(a) or better)
+    stage = seen_stage(low)
+    output = stage(batch, refine=True)
+    images, disparity, poses, matrix, mean = given[0]
+    assert images.shape == (2, 3, 3, 32, 64) and disparity is asked[0][2][0] and torch.equal(asked[0][3], better) and mean == 1
+    assert torch.allclose(matrix[0], torch.tensor([[40.0, 0, 31.5], [0, 40, 15.5], [0, 0, 1]]), atol=1e-5)
+    losses = output.losses
+    parts = total_loss(*asked[0]).total
+    assert torch.allclose(losses.total - parts, (poses - better).abs().mean())
+    losses.total.backward()
+    assert all(p.grad is not None for p in stage.pose_net.parameters())
+
+
 def test_a_corridor_is_as_near_as_its_road_and_its_walls():
     """A camera 1.5 above a road sees row v at depth 1.5 fy / (v − cy), and column u of a wall 8.25 aside at depth 8.25 fx / |u − cx|."""
     matrix = torch.tensor([[[50.0, 0, 150], [0, 60, 14], [0, 0, 1]]])
