@@ -236,7 +236,8 @@ def predict_poses(
 
     Returns:
         (N − 2, 2, 4, 4) float64: for each frame but the first and last, as target, the pose that maps its coordinates to the previous
-        frame's and to the next frame's; translations in units of the predicted depth.
+        frame's and to the next frame's; translations in the unit of the predicted depth, which changes with the frame without `depth`:
+        there each frame's disparities are first divided by their mean.
 
     Raises:
         InputError: fewer than three frames.
@@ -257,7 +258,9 @@ def predict_poses(
             if depth:
                 share = (views.shape[-1] / image.shape[1], views.shape[-2] / image.shape[0])
                 matrix = resize_intrinsics(torch.tensor(intrinsics, dtype=torch.float32, device=device), *share)
-                found = refined(views, torch.stack(near[1:-1]).to(device), found, matrix.expand(len(views), 3, 3))
+                disparity = torch.stack(near[1:-1]).to(device)
+                found = refined(views, disparity, found, matrix.expand(len(views), 3, 3))
+                found[..., :3] /= disparity.mean(dim=(1, 2, 3))[:, None, None]  # its own scale changes less from frame to frame
             poses.append(pose_matrix(found.double()).cpu())
             frames, near = frames[-2:], near[-2:]
     return torch.cat(poses).numpy()
