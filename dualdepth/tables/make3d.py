@@ -36,12 +36,8 @@ class Photos(NamedTuple):
 
 
 def load_photos(run: Run) -> Photos | None:
-    """Make3D's photos and grids, or None where the run has no MAKE3D_ROOT; read anew only when a file has changed.
-
-    Raises:
-        InputError: a photo without grid or the other way round, a grid that cannot be read, or more truncated photos than the one that
-            is published so.
-    """
+    """Make3D's photos and grids, or None where the run has no MAKE3D_ROOT; read anew only when a file has changed. An `InputError` names a
+    photo without grid or the other way round, a grid that cannot be read, or more truncated photos than the one that is published so."""
     root = Sources.load(run).make3d_root
     if root is None:
         return None
@@ -74,10 +70,7 @@ def _scores(model: DepthModel, photos: Photos, convention: str) -> pd.DataFrame:
 
 
 def make3d_scores(run: Run, seeds: Sequence[int]) -> Scores:
-    """Scores of the trained networks, of LR-Net before its training, and of constants, by convention (`part`).
-
-    Where the run has no MAKE3D_ROOT nothing has scores.
-    """
+    """Scores of the trained networks, of LR-Net before its training, and of constants, by convention (`part`); none without MAKE3D_ROOT."""
     photos = load_photos(run)
     if photos is None:
         scores = collect(run, VARIANTS, seeds, reason=NO_PHOTOS)
