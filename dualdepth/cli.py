@@ -44,10 +44,7 @@ class OneLineParser(argparse.ArgumentParser):
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command line by `argv`, without the program's name, or by the process's own arguments; gives the exit code, 0 for success.
-
-    Raises:
-        SystemExit: code 2 after one line on stderr, for a user's mistake; code 130 after Ctrl-C; code 0 after `--help` or `--version`.
-    """
+    `SystemExit` has code 2 after one line on stderr, for a user's mistake; code 130 after Ctrl-C; code 0 after `--help` or `--version`."""
     with exit_on_input_error():
         arguments = build_parser().parse_args(argv)
         return arguments.run(arguments) or 0
@@ -58,10 +55,7 @@ def build_parser() -> argparse.ArgumentParser:
     program = OneLineParser(prog="dualdepth", description="Dual networks for high-resolution depth from videos (ICCV 2019), replicated.")
     program.add_argument("--version", action="version", version=f"dualdepth {__version__}")
     commands = program.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    evaluate = commands.add_parser("evaluate", help="score predictions by the field's protocols")
-    kinds = evaluate.add_subparsers(title="what to evaluate", metavar="KIND", required=True)
-    _add_depth(kinds)
-    _add_odometry(kinds)
+    _add_evaluate(commands)
     _add_runs(commands)
     _add_predict(commands)
     _add_export(commands)
@@ -75,8 +69,10 @@ def _command(place: Any, name: str, run: Callable[[argparse.Namespace], int | No
     return parser
 
 
-def _add_depth(place: Any) -> None:
-    parser = _command(place, "depth", _evaluate_depth, "the seven depth metrics of a prediction file")
+def _add_evaluate(place: Any) -> None:
+    evaluate = place.add_parser("evaluate", help="score predictions by the field's protocols")
+    kinds = evaluate.add_subparsers(title="what to evaluate", metavar="KIND", required=True)
+    parser = _command(kinds, "depth", _evaluate_depth, "the seven depth metrics of a prediction file")
     parser.add_argument("--pred", required=True, metavar="P.npy", help="(N, h, w) float array, any size, of the list's frames or of G's")
     parser.add_argument("--gt", required=True, metavar="G.npz", help="ground truth of data_scripts/export_depth.py: one array per image")
     _add_choice(parser, "--kind", ("depth", "disparity"), "what P holds")
@@ -89,9 +85,7 @@ def _add_depth(place: Any) -> None:
     parser.add_argument("--allow-pickle", action="store_true", help="read pickled maps, as gt_depths.npz; only from a source you trust")
     _add_json_and_guard(parser, "--list", "FILE", "list of the frames, as given to data_scripts/export_depth.py")
 
-
-def _add_odometry(place: Any) -> None:
-    parser = _command(place, "odometry", _evaluate_odometry, "errors of a camera trajectory against the true one")
+    parser = _command(kinds, "odometry", _evaluate_odometry, "errors of a camera trajectory against the true one")
     parser.add_argument("--pred", required=True, metavar="POSES.txt", help="12 numbers a line ([R|t]), or 13 with the frame's number first")
     parser.add_argument("--gt", required=True, metavar="POSES.txt", help="the true poses of the whole sequence, in the same format")
     _add_choice(parser, "--snippet", (3, 5), "frames in a snippet")
@@ -183,7 +177,6 @@ def _evaluate_depth(arguments: argparse.Namespace) -> None:
     """Score depth predictions by the field's protocol (Eigen split) and print the means over images."""
     from dualdepth.data.depth_maps import at_places, load_ground_truth, places_of
     from dualdepth.data.kitti import read_frame_list
-    from dualdepth.device import keep_freed_memory
     from dualdepth.evaluation.depth import Protocol, evaluate, load_predictions, summary
 
     keep_freed_memory()
@@ -226,10 +219,8 @@ def _evaluate_odometry(arguments: argparse.Namespace) -> None:
 
 
 def _leak_of(arguments: argparse.Namespace, given: str | None, option: str, drives: Callable[[str], list[str]]) -> dict[str, str]:
-    """`{"leak": …}` for the result where an allowed leak is, nothing where there is none or nobody asked.
-
-    `given` is what `option` names the frames by, of which `drives` tells the drives. A leak that is not allowed is an `InputError`.
-    """
+    """`{"leak": …}` for the result where an allowed leak is, nothing where there is none or nobody asked. `given` is what `option` names
+    the frames by, of which `drives` tells the drives. A leak that is not allowed is an `InputError`."""
     if not (arguments.weights or given):
         return {}
     if not (arguments.weights and given):

@@ -49,11 +49,8 @@ def default_device() -> "torch.device":
 
 
 def choose_device(name: "str | torch.device | None") -> "torch.device":
-    """The device that a user asks for, or for None a CUDA GPU, Apple's, or the CPU, the first that is there.
-
-    Raises:
-        InputError: it is unknown or not to be had here.
-    """
+    """The device that a user asks for, or for None a CUDA GPU, Apple's, or the CPU, the first that is there. An `InputError` says that it
+    is unknown or not to be had here."""
     import torch
 
     there = ["cpu", *(f"cuda:{i}" for i in range(torch.cuda.device_count())), *["mps"] * torch.backends.mps.is_available()]
@@ -96,11 +93,7 @@ def choose_precision(setting: Literal["auto"] | Precision, device: "torch.device
 
 
 def inference_precision(precision: str | None, device: "torch.device") -> Precision:
-    """The precision that a user asks for, or for None bf16 on a CUDA GPU that computes in it, else float32.
-
-    Raises:
-        InputError: it is unknown.
-    """
+    """The precision that a user asks for, an `InputError` if it is unknown; for None bf16 on a CUDA GPU that has it, else float32."""
     if precision is None:
         return "bf16" if device.type == "cuda" and has_bf16(device) else "float32"
     if precision not in get_args(Precision):

@@ -89,15 +89,12 @@ def folder_digest(folder: str | Path, *patterns: str) -> str:
 
 @contextlib.contextmanager
 def locked(path: str | Path, patience: float = 0.0, *, inherited: bool = False) -> Iterator[None]:
-    """Hold the lock file `path`. The system releases it when the process ends, however it ends.
+    """Hold the lock file `path`, whose folder is made and which says who holds it. The system releases it when the process ends, however it
+    ends; while a live process holds it, an `InputError` says which.
 
     Args:
-        path: of the lock file, which says who holds it; its folder is made.
         patience: seconds to wait for a holder that may be ending.
         inherited: the program that this process becomes (`os.exec…`) holds the lock, too.
-
-    Raises:
-        InputError: a live process holds it; the message says which.
     """
     from filelock import FileLock, Timeout
 

@@ -95,11 +95,8 @@ class Profile(Settings):
         return [f"{n:02d}" for n in range(self.world.odometry_train)], [f"{9 + n:02d}" for n in range(self.world.odometry_test)]
 
     def of_variant(self, name: str) -> "Profile":
-        """The profile as a variant trains with it: its own settings and those of `train` put in.
-
-        Raises:
-            InputError: an unknown variant or setting, or values that do not fit.
-        """
+        """The profile as a variant trains with it: its own settings and those of `train` put in. An `InputError` names an unknown variant
+        or setting, or values that do not fit."""
         changes = self.variant(name).set | (self.train.get(name) or {})
         values = self.model_dump()
         for dotted, value in changes.items():
@@ -137,10 +134,7 @@ def standard_variants() -> dict[str, Variant]:
 
 def load_profile(name: str) -> Profile:
     """Read and validate a profile: one that comes with the package, such as `tiny`, or a YAML file, by whose stem the run is named.
-
-    Raises:
-        InputError: no such profile, no valid YAML, or a bad key or value; the message names the file and the nearest known key.
-    """
+    An `InputError` says that there is none, no valid YAML, or a bad key or value; it names the file and the nearest known key."""
     path, values = _read(name)
     try:
         return Profile.model_validate({str(key): value for key, value in values.items()} | {"name": path.stem})

@@ -174,12 +174,8 @@ class Run:
         }
 
     def made_from(self, notebook: str, step: str, **kinds: Mapping[str, Any]) -> list[tuple[str, Any]]:
-        """All that shapes a step's result beside its input files, as (name, value), such as `("code losses", digest)`.
-
-        Args:
-            notebook, step: the step's notebook, and a key of `CODE`.
-            kinds: more, such as `setting={"evaluation": {"crop": "eigen"}}`, which gives `("setting evaluation.crop", "eigen")`.
-        """
+        """All that shapes a step's result beside its input files, as (name, value), such as `("code losses", digest)`: of its notebook, of
+        `step` of `CODE`, and of more `kinds`; `setting={"evaluation": {"crop": "eigen"}}` gives `("setting evaluation.crop", "eigen")`."""
         cells = {notebook: notebook_digest(self.root / "notebooks" / f"{notebook}.ipynb")}
         named = {"notebook": cells, "code": {part: _digest(part) for part in CODE[step]}, **kinds}
         return [(f"{kind} {name}", value) for kind, values in named.items() for name, value in _leaves(values)]

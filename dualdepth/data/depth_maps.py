@@ -27,8 +27,7 @@ def save_ground_truth(path: str | Path, maps: Iterable[np.ndarray], names: Itera
         names: a key for each map; else its number as `%06d`. The same maps and names give the same bytes.
         listed: frames of the list in which the keys are places, 0 where there is none.
 
-    Raises:
-        InputError: the file cannot be written.
+    An `InputError` says that the file cannot be written.
     """
     path, keys = Path(path), names or map("{:06d}".format, itertools.count())
     try:
@@ -75,15 +74,10 @@ class DepthMaps(Sequence):
 
 
 def load_ground_truth(path: str | Path, *, allow_pickle: bool = False) -> DepthMaps:
-    """Open a file of depth maps.
+    """Open a file of depth maps: an npz with one float array per image, or the field's `gt_depths.npz` with all of them under `data`.
 
-    Args:
-        path: an npz with one float array per image, or the field's `gt_depths.npz` with all of them under `data`.
-        allow_pickle: also read pickled object arrays, which the field's file is. A pickle can run any code, so
-            say so only for files from a source you trust.
-
-    Raises:
-        InputError: missing, truncated, no npz, empty, or pickled without `allow_pickle`.
+    `allow_pickle` also reads pickled object arrays, which the field's file is. A pickle can run any code, so say so only for files from a
+    source you trust. An `InputError` says that the file is missing, truncated, no npz, empty, or pickled without `allow_pickle`.
     """
     path = Path(path)
     with reading(path, MEND):

@@ -211,10 +211,8 @@ def calibration_entry(values: dict[str, np.ndarray], key: str, size: int, path: 
 
 
 def intrinsics(root: str | Path, date: str, camera: str = "image_02") -> np.ndarray:
-    """Intrinsics (3, 3) float64 of a rectified camera, from `P_rect` of `calib_cam_to_cam.txt`, in pixels of the raw frame.
-
-    Pixel (0, 0) is the centre of the first pixel.
-    """
+    """Intrinsics (3, 3) float64 of a rectified camera, from `P_rect` of `calib_cam_to_cam.txt`, in pixels of the raw frame; pixel (0, 0) is
+    the centre of the first pixel."""
     path = Path(root) / date / "calib_cam_to_cam.txt"
     projection = calibration_entry(read_calibration(path), f"P_rect_{camera[-2:]}", 12, path)
     return projection.reshape(3, 4)[:, :3].copy()

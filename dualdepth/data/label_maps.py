@@ -28,10 +28,7 @@ def label_path(labels_root: str | Path, frame: Frame) -> Path:
 
 def read_label_map(path: str | Path) -> np.ndarray:
     """Read a label map, (H, W) uint8: training ids 0 … 18, or 255 (ignore). Of a file with a palette the indices count, not their colours.
-
-    Raises:
-        InputError: missing, damaged, no PNG, of several channels or 16 bits, or it holds other ids.
-    """
+    An `InputError` says that it is missing, damaged, no PNG, of several channels or 16 bits, or holds other ids."""
     data, mend = whole_image(path), "make it with data_scripts/export_labels.py"
     ids = f"training ids 0 to {len(CITYSCAPES) - 1} (Cityscapes' labelTrainIds), or {IGNORE}"
     with reading(path, mend), Image.open(io.BytesIO(data)) as image:

@@ -18,11 +18,8 @@ LARGEST_SIDE = 20_000  # Pixels of an image's side that a calibration may announ
 
 
 def read_scan(path: str | Path) -> np.ndarray:
-    """Read a Velodyne scan, (N, 4) float32 in the laser's frame: forward, left, up in metres, and reflectance.
-
-    Raises:
-        InputError: missing, empty, of a size that is no multiple of 16 bytes, or not finite.
-    """
+    """Read a Velodyne scan, (N, 4) float32 in the laser's frame: forward, left, up in metres, and reflectance. An `InputError` says that it
+    is missing, empty, of a size that is no multiple of 16 bytes, or not finite."""
     with reading(path, AGAIN):
         data = Path(path).read_bytes()
     if not data or len(data) % 16:
@@ -36,11 +33,8 @@ def read_scan(path: str | Path) -> np.ndarray:
 def velodyne_projection(root: str | Path, date: str, camera: str = "image_02") -> np.ndarray:
     """Matrix from laser points to pixels of a rectified camera: P_rect · R_rect_00 · (R, T of velo→cam).
 
-    Returns:
-        (3, 4) float64; it maps homogeneous laser points in metres to (u·z, v·z, z), z the camera's depth in metres.
-
-    Raises:
-        InputError: a calibration file or one of its entries is missing or malformed.
+    It is (3, 4) float64 and maps homogeneous laser points in metres to (u·z, v·z, z), z the camera's depth in metres. An `InputError` says
+    that a calibration file or one of its entries is missing or malformed.
     """
     cameras_path, laser_path = (Path(root) / date / name for name in ("calib_cam_to_cam.txt", "calib_velo_to_cam.txt"))
     cameras, laser = read_calibration(cameras_path), read_calibration(laser_path)
@@ -92,10 +86,8 @@ def depth_from_scan(scan: np.ndarray, projection: np.ndarray, size: tuple[int, i
 def ground_truth(root: str | Path, frame: Frame, *, camera_z: bool = False) -> np.ndarray:
     """Sparse depth (H, W) float32 of a frame in metres, 0 for none, from the laser scan of the same number, at the size of its image.
 
-    Without the image the size is the calibration's `S_rect`, which is the same on KITTI raw.
-
-    Raises:
-        InputError: scan, image or calibration is missing or broken.
+    Without the image the size is the calibration's `S_rect`, which is the same on KITTI raw. An `InputError` says that scan, image or
+    calibration is missing or broken. For `camera_z` see `depth_from_scan`.
     """
     scan = read_scan(velodyne_path(root, frame))
     projection = velodyne_projection(root, frame.date, frame.camera)
@@ -103,11 +95,8 @@ def ground_truth(root: str | Path, frame: Frame, *, camera_z: bool = False) -> n
 
 
 def map_size(root: str | Path, frame: Frame) -> tuple[int, int]:
-    """(height, width) of a frame in pixels: of its image, read from the header alone, or else the calibration's `S_rect`.
-
-    Raises:
-        InputError: the image has no readable header, or there is neither an image nor a usable calibration.
-    """
+    """(height, width) of a frame in pixels: of its image, read from the header alone, or else the calibration's `S_rect`. An `InputError`
+    says that the image has no readable header, or that there is neither an image nor a usable calibration."""
     path = image_path(root, frame)
     if path is None:
         calibration, key = Path(root) / frame.date / "calib_cam_to_cam.txt", f"S_rect_{frame.camera[-2:]}"
@@ -132,10 +121,7 @@ def improved_path(root: str | Path, frame: Frame) -> Path | None:
 def improved_ground_truth(root: str | Path, frame: Frame) -> np.ndarray:
     """Accumulated, filtered laser depth (H, W) float32 of a frame, in metres along the camera's axis, 0 for none (Uhrig et al. 2017).
 
-    652 of the 697 Eigen test frames have it.
-
-    Raises:
-        InputError: there is no such map, or the file is no 16-bit PNG with one channel.
+    652 of the 697 Eigen test frames have it; an `InputError` says that there is none, or no 16-bit PNG with one channel.
     """
     path = improved_path(root, frame)
     if path is None:

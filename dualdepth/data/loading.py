@@ -116,10 +116,8 @@ class StatelessBatches(Sampler[list[tuple[int, int]]]):
     """Batches of (epoch, index) from optimiser step `start` to `stop`; epoch e is the permutation drawn from (seed, e).
 
     The last, incomplete batch of an epoch is dropped. A step's batch is cut into `accumulate` parts that come one after the
-    other, and each part into equal shares for the processes, so its samples are the same however many there are.
-
-    Raises:
-        InputError: fewer samples than a batch.
+    other, and each part into equal shares for the processes, so its samples are the same however many there are. An `InputError` says
+    that there are fewer samples than a batch, or that it cannot be shared so.
     """
 
     def __init__(

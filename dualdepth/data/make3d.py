@@ -34,11 +34,8 @@ class PhotoGrid(NamedTuple):
 
 
 def find_pairs(root: str | Path) -> list[PhotoGrid]:
-    """All photos with their grids, by name.
-
-    Raises:
-        InputError: a folder is missing or empty, or a photo or a grid stands alone; all such are named, the first ones in full.
-    """
+    """All photos with their grids, by name. An `InputError` says that a folder is missing or empty, or that a photo or a grid stands alone;
+    it names the first ones."""
     root = Path(root)
     photos, grids = _named(root, PHOTO_FOLDERS, *PHOTO), _named(root, GRID_FOLDERS, *GRID)
     if alone := sorted(f"{(photos | grids)[name].name} stands alone" for name in photos.keys() ^ grids.keys()):
@@ -60,10 +57,8 @@ def _named(root: Path, folders: Sequence[str], before: str, after: str) -> dict[
 def read_grid(path: str | Path) -> np.ndarray:
     """Distances (55, 305) float64 of a laser grid, the fourth channel of its points: metres along the ray; some 80 m stand for no return.
 
-    Its rows are from the top, over the whole photo.
-
-    Raises:
-        InputError: missing, no `.mat` file, or one without `Position3DGrid` of shape (55, 305, 4).
+    Its rows are from the top, over the whole photo. An `InputError` says that it is missing, or no `.mat` file with a `Position3DGrid`
+    of shape (55, 305, 4).
     """
     from scipy.io import loadmat
 
@@ -76,11 +71,8 @@ def read_grid(path: str | Path) -> np.ndarray:
 
 
 def read_photo(path: str | Path) -> np.ndarray:
-    """Decode a photo to RGB, (H, W, 3) uint8; one that lacks its end keeps its size and is grey where nothing is left.
-
-    Raises:
-        InputError: missing, no image, or more than half of it is lacking.
-    """
+    """Decode a photo to RGB, (H, W, 3) uint8; one that lacks its end keeps its size and is grey where nothing is left. An `InputError` says
+    that it is missing, no image, or that more than half of it is lacking."""
     if not is_truncated(path):
         return read_image(path)
     data, photo = np.frombuffer(Path(path).read_bytes() + END_OF_JPEG, np.uint8), None

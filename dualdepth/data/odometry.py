@@ -166,16 +166,11 @@ def write_trajectory(path: str | Path, poses: np.ndarray) -> None:
 def pair_frames(
     prediction: Trajectory, truth: Trajectory, names: tuple[str, str] = ("the prediction", "the ground truth")
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The frames that both trajectories have, and their poses in each; `names` are those of the two in messages.
+    """The frames (M,) that both trajectories have, predicted (M, 4, 4) and true poses (M, 4, 4); `names` are those of the two in messages.
 
     A prediction with frame numbers is matched by them; one without has a pose for each of the ground truth's, in order. The first pose
-    of a ground truth without frame numbers is frame 0's.
-
-    Returns:
-        (M,) frame numbers, (M, 4, 4) predicted and (M, 4, 4) true poses.
-
-    Raises:
-        InputError: the lengths differ and the prediction has no frame numbers, or no frame is in both.
+    of a ground truth without frame numbers is frame 0's. An `InputError` says that the lengths differ and the prediction has no frame
+    numbers, or that no frame is in both.
     """
     ours, theirs = names
     if not prediction.indexed:

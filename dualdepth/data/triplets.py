@@ -76,10 +76,8 @@ def missing_neighbours(root: str | Path, targets: Iterable[Frame]) -> list[Frame
 
 
 def missing_files_error(what: str, root: str | Path, missing: Iterable[tuple[Frame, str]]) -> InputError:
-    """One message for all files that are `missing` below `root`, `what` says for what: frames and the folder, such as `image_02`, of each.
-
-    Neighbours in number are written as ranges.
-    """
+    """One message for all files that are `missing` below `root`, `what` says for what: frames and the folder, such as `image_02`, of each;
+    neighbours in number are written as ranges."""
     folders: dict[str, set[int]] = {}
     for frame, folder in missing:
         folders.setdefault(f"{frame.drive}/{folder}/data", set()).add(frame.index)

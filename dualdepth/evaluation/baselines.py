@@ -15,13 +15,8 @@ GRID = (47, 156)  # Cells of about 8 × 8 KITTI pixels: sparse scans of few fram
 
 
 def depth_sums(maps: Iterable[np.ndarray], *, grid: tuple[int, int] = GRID, max_depth: float) -> np.ndarray:
-    """Gather sparse depth maps (H, W) in metres, 0 where there is no measurement, of any sizes, on a grid of (h, w) cells over the image.
-
-    Only depths strictly between 0 and `max_depth` count, as in the evaluation.
-
-    Returns:
-        (2, h, w) float64: the sum of the valid depths in each cell, in metres, and their number.
-    """
+    """Gather sparse depth maps (H, W) in metres, 0 where there is no measurement, of any sizes, on a grid of (h, w) cells over the image:
+    (2, h, w) float64, the sum of the depths strictly between 0 and `max_depth` in each cell, in metres, and their number."""
     sums = np.zeros((2, *grid))
     for depth in maps:
         rows, columns = np.nonzero((depth > 0) & (depth < max_depth))
@@ -35,10 +30,7 @@ def mean_depth(sums: np.ndarray, baseline: str) -> np.ndarray:
     """A baseline's depth on the grid: (1, 1), (h, 1) or (h, w) float32, metres, all positive; `resize_bilinear` makes it an image's.
 
     It is the mean over everything; over each row of the grid, a row without a measurement taking the nearest row that has one; or over
-    each cell, a cell without one taking its row's mean (`constant`, `row_mean`, `mean_map`).
-
-    Raises:
-        InputError: there is no valid depth.
+    each cell, a cell without one taking its row's mean (`constant`, `row_mean`, `mean_map`). Without any depth it is an `InputError`.
     """
     total, count = sums
     if not count.any():

@@ -73,10 +73,8 @@ def crop_box(crop: str, height: int, width: int) -> tuple[slice, slice]:
 
 
 def errors(ground_truth: np.ndarray, prediction: np.ndarray) -> dict[str, float]:
-    """The seven metrics, by the names in `METRICS`, of paired depths (P,) in metres, positive, P ≥ 1.
-
-    a1, a2, a3 are shares in [0, 1] with max(gt/p, p/gt) < 1.25^k, strictly.
-    """
+    """The seven metrics, by the names in `METRICS`, of paired depths (P,) in metres, positive, P ≥ 1; a1, a2, a3 are shares in [0, 1] with
+    max(gt/p, p/gt) < 1.25^k, strictly."""
     difference = ground_truth - prediction
     squared = difference**2
     ratio = np.maximum(ground_truth / prediction, prediction / ground_truth)
@@ -96,17 +94,10 @@ def resize_bilinear(values: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def valid_pixels(prediction: np.ndarray, ground_truth: np.ndarray, protocol: Protocol) -> Pixels | None:
-    """Pair the valid pixels of one image, with the prediction resized, scaled and clamped by `protocol`.
+    """Pair the valid pixels of one image, with the prediction resized, scaled and clamped by `protocol`; None where no pixel is valid.
 
-    Args:
-        prediction: (h, w) float depth or disparity of any size, finite and positive.
-        ground_truth: (H, W) float, metres; 0 or NaN where there is no measurement.
-
-    Returns:
-        The pairs, or None where no pixel is valid.
-
-    Raises:
-        InputError: a shape is not two-dimensional, or the prediction is not finite and positive.
+    The prediction is (h, w) float depth or disparity of any size, finite and positive; the ground truth (H, W) float, metres, 0 or NaN
+    where there is no measurement. An `InputError` says that a shape or the prediction is something else.
     """
     prediction = np.asarray(prediction, np.float64 if prediction.dtype.itemsize > 4 else np.float32)
     if prediction.ndim != 2 or ground_truth.ndim != 2 or 0 in prediction.shape:
@@ -215,11 +206,8 @@ def evaluate_parts(
 def load_predictions(path: str | Path, *, allow_pickle: bool = False) -> list[np.ndarray]:
     """Open a file of predictions, as the field saves them, without reading it into memory and, unless allowed, without pickle.
 
-    Returns:
-        N float arrays (h, w), mapped from the file unless pickled; an axis of one channel, first or last, is taken off.
-
-    Raises:
-        InputError: missing, truncated, no `.npy`, or not float maps of at least one image.
+    Gives N float arrays (h, w), mapped from the file unless pickled; an axis of one channel, first or last, is taken off. An `InputError`
+    says that the file is missing, truncated, no `.npy`, or not float maps of at least one image.
     """
     mend = "give a .npy file with one (N, h, w) float array, as numpy.save writes it, or with --allow-pickle one of maps of several sizes"
     with reading(path, mend):
@@ -234,10 +222,8 @@ def load_predictions(path: str | Path, *, allow_pickle: bool = False) -> list[np
 
 
 def summary(frame: pd.DataFrame) -> dict[str, float | int]:
-    """Plain means over the scored images of `evaluate`: the seven metrics, `n` scored and `skipped` images, and the median scale ratio.
-
-    Its spread is the standard deviation of ratio / median ratio, as monodepth2 prints it.
-    """
+    """Plain means over the scored images of `evaluate`: the seven metrics, `n` scored and `skipped` images, and the median scale ratio; its
+    spread is the standard deviation of ratio / median ratio, as monodepth2 prints it."""
     ratio = frame["scale_ratio"]
     return {
         **{name: float(frame[name].mean()) for name in METRICS},

@@ -9,10 +9,8 @@ from dualdepth.errors import InputError
 def check_leak(card: dict[str, Any], drives: Iterable[str], *, allow: bool, weights: Any = "the weights") -> str:
     """Refuse to score frames of `drives` that a training has seen, unless it is allowed; odometry sequences count as their raw drives.
 
-    The card's `drives` are those of the training's ancestors, too. What a result must say comes back: nothing, or the leak by name.
-
-    Raises:
-        InputError: there is a leak and it is not allowed, or the card does not say what was trained on.
+    The card's `drives` are those of the training's ancestors, too. What a result must say comes back: nothing, or the leak by name. An
+    `InputError` says that there is a leak that is not allowed, or that the card does not say what was trained on.
     """
     if "drives" not in card:
         raise InputError(f"{weights}: its card does not say which drives it was trained on; keep the card that was written with it")

@@ -29,11 +29,7 @@ NEAREST = float(np.finfo(np.float64).tiny)  # C1 has no bound below: the ground 
 
 
 def visible(photo: np.ndarray, convention: str) -> np.ndarray:
-    """What the network is shown of a photo (H, W, 3): all of it, or its central band (W // 2, W, 3).
-
-    Raises:
-        InputError: the photo is lower than its band.
-    """
+    """What the network is shown of a photo (H, W, 3): all of it, or its central band (W // 2, W, 3); an `InputError` if it is lower."""
     if convention == "whole":
         return photo
     height, width = photo.shape[:2]
@@ -54,18 +50,14 @@ def c1_errors(ground_truth: np.ndarray, prediction: np.ndarray) -> dict[str, flo
 def evaluate_make3d(
     predictions: Sequence[np.ndarray], grids: Sequence[np.ndarray], convention: str, *, median_scaling: bool = True
 ) -> pd.DataFrame:
-    """Score depth predictions against laser grids, photo by photo.
+    """Score depth predictions against laser grids, photo by photo: the frame of `evaluate` with these `METRICS`, of at most 6405 cells.
 
     Args:
         predictions: (h, w) each, depth of what is `visible` by the convention, positive, of any size and scale.
         grids: (55, 305) metres each.
         median_scaling: see `Protocol`; else predictions are in metres already.
 
-    Returns:
-        The frame of `evaluate` with these `METRICS`; `valid_pixels` are of 6405 cells.
-
-    Raises:
-        InputError: the numbers differ, a prediction is not finite and positive, or no photo has a valid cell.
+    An `InputError` says that the numbers differ, a prediction is not finite and positive, or no photo has a valid cell.
     """
     shape, scored = (GRID_SHAPE, ROWS) if convention == "whole" else ((ROWS.stop - ROWS.start, GRID_SHAPE[1]), np.s_[:])
     cells = [cv2.resize(prediction, shape[::-1], interpolation=cv2.INTER_NEAREST)[scored] for prediction in predictions]

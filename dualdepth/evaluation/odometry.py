@@ -27,10 +27,8 @@ def relative(poses: np.ndarray) -> np.ndarray:
 
 
 def snippets(poses: np.ndarray, length: int, frames: np.ndarray | None = None) -> np.ndarray:
-    """All overlapping windows of `length` poses (N, 4, 4): (S, L, 4, 4); none where there are fewer.
-
-    Where increasing frame numbers (N,) are given, only windows of consecutive ones are cut.
-    """
+    """All overlapping windows of `length` poses (N, 4, 4): (S, L, 4, 4); none where there are fewer. Where increasing frame numbers (N,)
+    are given, only windows of consecutive ones are cut."""
     starts = np.arange(max(len(poses) - length + 1, 0))
     if frames is not None:
         starts = starts[frames[starts + length - 1] - frames[starts] == length - 1]
@@ -56,10 +54,8 @@ def snippet_errors(truth: np.ndarray, prediction: np.ndarray) -> pd.DataFrame:
 
 
 def umeyama(source: np.ndarray, target: np.ndarray, *, with_scale: bool = True) -> tuple[np.ndarray, np.ndarray, float]:
-    """Rotation R (3, 3), translation t (3,) and scale s that bring points (N, 3) nearest to others: Σ‖s R x + t − y‖² is least.
-
-    Umeyama 1991, equations 34-43. Points that are all one, and those `with_scale` off, have scale 1.
-    """
+    """Rotation R (3, 3), translation t (3,) and scale s that bring points (N, 3) nearest to others: Σ‖s R x + t − y‖² is least (Umeyama
+    1991, equations 34-43). Points that are all one, and those `with_scale` off, have scale 1."""
     mean, target_mean = source.mean(0), target.mean(0)
     variance = ((source - mean) ** 2).sum() / len(source)
     u, d, vt = np.linalg.svd((target - target_mean).T @ (source - mean) / len(source))
@@ -75,10 +71,7 @@ def aligned(prediction: np.ndarray, truth: np.ndarray, how: str = "7dof") -> np.
 
     All are (N, 4, 4), of the same frames. `how` is `none`; `scale`: the scale alone, by least squares; `6dof` and `7dof`: Umeyama's rigid
     and similarity transform of the positions, applied to the whole poses; `scale_7dof`: of the latter only the scale. The scale is 1
-    where nothing moves.
-
-    Raises:
-        InputError: `how` is unknown.
+    where nothing moves. An unknown `how` is an `InputError`.
     """
     if how not in ALIGNMENTS:
         raise InputError(f"alignment {how!r} is unknown; choose one of {', '.join(ALIGNMENTS)}")
@@ -116,15 +109,11 @@ def segment_errors(truth: Trajectory, prediction: Trajectory) -> pd.DataFrame:
 
 
 def trajectory_errors(truth: Trajectory, prediction: Trajectory, align: str = "7dof") -> dict[str, Any]:
-    """Errors of a whole trajectory after `aligned`, in the frames that both have.
+    """Errors of a whole trajectory after `aligned`, in the frames that both have (`pair_frames`), with the `InputError` of either.
 
-    Returns:
-        `t_err` (%) and `r_err` (degrees per 100 m), means over all segments of `segment_errors`, and their number `segments`; `ate` (m,
-        true RMSE of the positions); `rpe_t` (m) and `rpe_r` (degrees), means over frames with consecutive numbers. NaN where there is no
-        segment or no such pair.
-
-    Raises:
-        InputError: the trajectories do not fit (`pair_frames`), or the alignment is unknown.
+    `t_err` (%) and `r_err` (degrees per 100 m) are means over all segments of `segment_errors`, `segments` their number; `ate` (m) is the
+    true RMSE of the positions; `rpe_t` (m) and `rpe_r` (degrees) are means over frames with consecutive numbers. NaN where there is no
+    segment or no such pair.
     """
     frames, poses, true_poses = pair_frames(prediction, truth)
     poses, true_poses = aligned(poses, true_poses, align), relative(true_poses)
@@ -170,8 +159,6 @@ def constant_velocity(frames: int, step: np.ndarray) -> np.ndarray:
 
 
 def inverted(truth: np.ndarray) -> np.ndarray:
-    """Control: the true poses (…, N, 4, 4) in the axes of the first, each inverted.
-
-    Of `snippets`, it is the mistake that their errors hardly see; of a whole trajectory, one that `trajectory_errors` sees.
-    """
+    """Control: the true poses (…, N, 4, 4) in the axes of the first, each inverted. Of `snippets`, it is the mistake that their errors
+    hardly see; of a whole trajectory, one that `trajectory_errors` sees."""
     return np.linalg.inv(relative(truth))

@@ -21,10 +21,8 @@ def near_and_far(_: int, pixels: Pixels) -> dict[str, np.ndarray]:
 
 
 def in_regions(label_map: Callable[[int], np.ndarray], names: Sequence[object]) -> Parts:
-    """Masks of `REGIONS`, for `evaluate_parts`.
-
-    `label_map` gives the map (H, W) of Cityscapes training ids of an image by its place; `names` are those of the maps' files.
-    """
+    """Masks of `REGIONS`, for `evaluate_parts`. `label_map` gives the map (H, W) of Cityscapes training ids of an image by its place;
+    `names` are those of the maps' files."""
 
     def parts(number: int, pixels: Pixels) -> dict[str, np.ndarray]:
         labels = label_map(number)

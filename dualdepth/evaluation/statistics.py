@@ -30,10 +30,8 @@ class Comparison(NamedTuple):
 
     @property
     def clear_of_seeds(self) -> bool | None:
-        """Whether the 95 % t-interval of the mean over seeds excludes zero; None with one seed.
-
-        With three seeds that asks for a difference of 2.5 times its standard deviation.
-        """
+        """Whether the 95 % t-interval of the mean over seeds excludes zero, which asks of three seeds for a difference of 2.5 times its
+        standard deviation; None with one seed."""
         return None if np.isnan(self.spread) else bool(abs(self.difference) > t_interval(self.spread, self.seeds))
 
 

@@ -28,9 +28,8 @@ def export_onnx(weights: str | Path, out: str | Path, frames: Sequence[str | Pat
     """Write the depth network of a training as an ONNX file.
 
     It takes the image itself, so that nobody has to average it for LR-Net; what does not shape the finest disparity, such as the decoder
-    of a dual network's LR-Net, is not part of it.
-
-    The file is compared on `frames`, or on three made-up images. Returns what was written and how near to PyTorch it is, in two lines.
+    of a dual network's LR-Net, is not part of it. The file is compared on `frames`, or on three made-up images. Returns what was written
+    and how near to PyTorch it is, in two lines.
 
     Raises:
         InputError: a package is missing; the weights, their card or a frame cannot be read; nothing can be written at `out`; the
@@ -71,10 +70,7 @@ def export_onnx(weights: str | Path, out: str | Path, frames: Sequence[str | Pat
 
 def write_onnx(model: DepthModel, path: str | Path) -> None:
     """Write a model with what is known of it as metadata, and check the file: `image` (B, 3, H, W) → `disparity` (B, 1, h, w), B is free.
-
-    Raises:
-        torch.onnx.errors.OnnxExporterError: torch has no ONNX form of one of its layers.
-    """
+    A `torch.onnx.errors.OnnxExporterError` says that torch has no ONNX form of one of its layers."""
     import onnx
     from onnx_ir.passes.common import ClearMetadataAndDocStringPass
 

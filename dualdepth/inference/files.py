@@ -42,10 +42,8 @@ def predict_files(
     """Write what is predicted of files into a folder, say what comes of it, and keep results that are newer than what they are made of.
 
     `paths` are from `find_inputs`. `kinds` are keys of `SUFFIXES`; an empty sequence takes colour and depth of an image, side of a video.
-    Returns whether all inputs could be read to their end; the others are named on stderr.
-
-    Raises:
-        InputError: results cannot be written, another process writes there, or the network gives no numbers.
+    Returns whether all inputs could be read to their end; the others are named on stderr. An `InputError` says that results cannot be
+    written, that another process writes there, or that the network gives no numbers.
     """
     options = {"weights": f"{model.card['sha256']}: {model.about}", "precision": model.precision, "scale": repr(style.scale)}
     options["camera"] = repr(style[2:])
@@ -111,10 +109,8 @@ class Task(NamedTuple):
 
 
 def plan(paths: Sequence[Path], out: Path, options: dict[str, str], kinds: Sequence[str], overwrite: bool) -> list[Task]:
-    """A task for each input, in their order; results that are there are not made again, unless other `options` shaped them.
-
-    `STAMP` is written into `out`; the other arguments are those of `predict_files`.
-    """
+    """A task for each input, in their order; results that are there are not made again, unless other `options` shaped them. `STAMP` is
+    written into `out`; the other arguments are those of `predict_files`."""
     try:
         stamp: dict[str, Any] = json.loads((out / STAMP).read_text(encoding="utf-8"))
         inputs = {n: {key: e[key] for key in ("path", "changed", "since")} | {"size": e.get("size")} for n, e in stamp["inputs"].items()}

@@ -39,16 +39,22 @@ def baseline_depths(run: Run, name: str) -> tuple[Sequence[np.ndarray] | None, s
 
     It is fitted on training-side laser frames; where the only laser frames are the scored ones, each drive is predicted from the others.
     """
-    frames, fitted = scored(run), run.prepared / "baseline_truth.npz"
-    farthest = run.profile.evaluation.max_depth
-    if fitted.exists():
-        mean = baselines.mean_depth(baselines.depth_sums(load_ground_truth(fitted), max_depth=farthest), name)
+    frames = scored(run)
+    if (mean := fitted_depth(run, name)) is not None:
         return [resize_bilinear(mean, depth.shape) for depth in frames.truth], "fitted on training-side laser frames"
     if len(frames.drives) < 2:
         return None, "no training-side laser frames, and the scored frames are of one drive"
     drives = [frame.drive for frame in frames.frames]
-    predictions = baselines.leave_one_drive_out(list(frames.truth), drives, name, max_depth=farthest)
+    predictions = baselines.leave_one_drive_out(list(frames.truth), drives, name, max_depth=run.profile.evaluation.max_depth)
     return predictions, "fitted on the scored frames of all other drives"
+
+
+def fitted_depth(run: Run, name: str) -> np.ndarray | None:
+    """Depth of a baseline on its grid (`mean_depth`), metres, fitted on training-side laser frames; None where there are none."""
+    path = run.prepared / "baseline_truth.npz"
+    if not path.exists():
+        return None
+    return baselines.mean_depth(baselines.depth_sums(load_ground_truth(path), max_depth=run.profile.evaluation.max_depth), name)
 
 
 def main_table(run: Run, scores: Scores) -> pd.DataFrame:

@@ -8,16 +8,15 @@ import cv2
 import numpy as np
 import pandas as pd
 
-from dualdepth.data.depth_maps import load_ground_truth
 from dualdepth.data.frames import resample
 from dualdepth.data.make3d import MAKE3D_PHOTOS, PhotoGrid, find_pairs, is_truncated, read_grid, read_photo
 from dualdepth.errors import InputError
-from dualdepth.evaluation.baselines import depth_sums, mean_depth
 from dualdepth.evaluation.depth import resize_bilinear
 from dualdepth.evaluation.make3d import CONVENTIONS, FARTHEST, METRICS, ROWS, evaluate_make3d, visible
 from dualdepth.files import file_digest, short_digest
 from dualdepth.model import DepthModel
 from dualdepth.run import Run, Sources
+from dualdepth.tables.main import fitted_depth
 from dualdepth.tables.rows import method_row, with_paper
 from dualdepth.tables.scores import SEEDLESS, Scores, Trained, collect, opened, untrained_net
 
@@ -36,12 +35,8 @@ class Photos(NamedTuple):
 
 
 def load_photos(run: Run) -> Photos | None:
-    """Make3D's photos and grids, or None where the run has no MAKE3D_ROOT; read anew only when a file has changed.
-
-    Raises:
-        InputError: a photo without grid or the other way round, a grid that cannot be read, or more truncated photos than the one that
-            is published so.
-    """
+    """Make3D's photos and grids, or None where the run has no MAKE3D_ROOT; read anew only when a file has changed. An `InputError` names a
+    photo without grid or the other way round, a grid that cannot be read, or more truncated photos than the one that is published so."""
     root = Sources.load(run).make3d_root
     if root is None:
         return None
@@ -74,10 +69,7 @@ def _scores(model: DepthModel, photos: Photos, convention: str) -> pd.DataFrame:
 
 
 def make3d_scores(run: Run, seeds: Sequence[int]) -> Scores:
-    """Scores of the trained networks, of LR-Net before its training, and of constants, by convention (`part`).
-
-    Where the run has no MAKE3D_ROOT nothing has scores.
-    """
+    """Scores of the trained networks, of LR-Net before its training, and of constants, by convention (`part`); none without MAKE3D_ROOT."""
     photos = load_photos(run)
     if photos is None:
         scores = collect(run, VARIANTS, seeds, reason=NO_PHOTOS)
@@ -97,17 +89,10 @@ def make3d_scores(run: Run, seeds: Sequence[int]) -> Scores:
     scores = scores.plus(UNTRAINED, untrained, "before its first step")
     note = "any constant, scaled to each photo's median as the networks are"
     scores = scores.plus(CONSTANT, constant(1.0, median_scaling=True), note)
-    if (mean := training_mean(run)) is None:
+    if (mean := fitted_depth(run, "constant")) is None:
         return scores
-    return scores.plus(MEAN, constant(mean, median_scaling=False), f"{mean:.1f} m, mean of training-side laser frames, not scaled")
-
-
-def training_mean(run: Run) -> float | None:
-    """Mean depth in metres of the training-side laser frames; None where there are none."""
-    fitted = run.prepared / "baseline_truth.npz"
-    if not fitted.exists():
-        return None
-    return mean_depth(depth_sums(load_ground_truth(fitted), max_depth=run.profile.evaluation.max_depth), "constant").item()
+    note = f"{mean.item():.1f} m, mean of training-side laser frames, not scaled"
+    return scores.plus(MEAN, constant(mean.item(), median_scaling=False), note)
 
 
 def make3d_table(run: Run, scores: Scores) -> pd.DataFrame:
@@ -125,7 +110,7 @@ def make3d_table(run: Run, scores: Scores) -> pd.DataFrame:
         shown += [(variant, convention, convention, "-", "; ".join(["not fine-tuned", *remarks])) for variant in VARIANTS]
     rows = []
     for name, part, convention, supervision, note in shown:
-        if name != MEAN or training_mean(run) is not None:
+        if name != MEAN or fitted_depth(run, "constant") is not None:
             method = run.profile.variant(name).label if name in VARIANTS else name
             row = {"method": method, "supervision": supervision, "convention": convention}
             rows.append(row | method_row(scores, name, METRICS, part, note))

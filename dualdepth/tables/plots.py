@@ -32,10 +32,8 @@ def show_image(axes: Axes, image: np.ndarray, title: str) -> None:
 
 
 def show_depth(axes: Axes, depth: np.ndarray, title: str, bar: bool = True, unit: str = "m") -> None:
-    """Draw a depth map (H, W) in metres, 0 = unknown (grey), with a colour bar in metres, or in another `unit`.
-
-    Near is bright, far is dark; logarithmic in depth, so that near and far both show.
-    """
+    """Draw a depth map (H, W) in metres, 0 = unknown (grey), with a colour bar in metres, or in another `unit`: near is bright, far is
+    dark, logarithmic in depth, so that both show."""
     ticks = {value: str(value) for value in (3, 5, 10, 20, 40)} | {80: f"80 {unit}"}
     _show_map(axes, np.ma.masked_less_equal(depth, 0), title, ticks if bar else {}, "both", cmap="magma_r", norm=LogNorm(NEAR, FAR))
 
@@ -174,10 +172,8 @@ def motions(pairs: dict[str, tuple[np.ndarray, np.ndarray]]) -> Picture:
 
 
 def trajectories(paths: dict[str, dict[str, np.ndarray]]) -> Picture:
-    """Trajectories seen from above, a panel a sequence: x to the right and z up, in metres, at equal scale.
-
-    Of positions (N, 3) by sequence and method; a sequence's first method is the truth, drawn in black.
-    """
+    """Trajectories seen from above, a panel a sequence: x to the right and z up, in metres, at equal scale. Of positions (N, 3) by sequence
+    and method; a sequence's first method is the truth, drawn in black."""
     figure = Picture(figsize=(5 * len(paths), 4.5), layout="constrained")
     for axes, (title, methods) in zip(figure.subplots(1, len(paths), squeeze=False)[0], paths.items()):
         for number, (method, positions) in enumerate(methods.items()):

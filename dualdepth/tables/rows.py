@@ -20,10 +20,8 @@ says why nothing was compared."""
 
 
 def over_seeds(frame: pd.DataFrame, metrics: Iterable[str] = METRICS) -> dict[str, Any]:
-    """Means over images, then over seeds, of rows (seed, image).
-
-    `<metric>_std` is the sample standard deviation over seeds, empty for one seed; `n` is the number of images.
-    """
+    """Means over images, then over seeds, of rows (seed, image); `<metric>_std` is the sample standard deviation over seeds, empty for one
+    seed, `n` the number of images."""
     of_seed = frame.groupby(level="seed")[list(metrics)].mean()
     row = {f"{metric}{end}": value for metric in of_seed for end, value in (("", of_seed[metric].mean()), ("_std", of_seed[metric].std()))}
     return row | {"n": frame.groupby(level="seed").size().min()}
@@ -36,9 +34,7 @@ def not_run(reason: str) -> dict[str, Any]:
 
 def method_row(scores: Scores, method: str, metrics: Iterable[str] = METRICS, part: str | None = None, note: str = "") -> dict[str, Any]:
     """Row of a training, or of another method: means over its seeds, what it is (with `note` behind it), a leak; or why there is none.
-
-    Column `variant` names trainings alone.
-    """
+    Column `variant` names trainings alone."""
     trainings = scores.trainings.get(method)
     variant = {"variant": method} if trainings or method not in scores.notes else {}
     if method in scores.missing:

@@ -22,11 +22,8 @@ NO_LABELS = "no LABELS_ROOT; make the maps with python data_scripts/export_label
 
 
 def labels_made_by(run: Run) -> str:
-    """What made the label maps: the world's renderer, or what `labels.json` beside them says; why there are none.
-
-    Raises:
-        InputError: `labels.json` cannot be read, or names no model.
-    """
+    """What made the label maps: the world's renderer, or what `labels.json` beside them says, an `InputError` if it cannot be read or names
+    no model; or why there are none."""
     root = Sources.load(run).labels_root
     if root is None:
         return NO_LABELS
@@ -72,10 +69,8 @@ def region_table(run: Run, scores: Scores) -> pd.DataFrame:
 
 
 def region_claims(scores: Scores, seeds: Sequence[int]) -> pd.DataFrame:
-    """With SA against without in each region, over all seeds and for each, paired; and whether road gains more: the paper's claim.
-
-    Column `seed` has the seeds that a row is about.
-    """
+    """With SA against without in each region, over all seeds and for each, paired; and whether road gains more: the paper's claim. Column
+    `seed` has the seeds that a row is about."""
     rows = []
     for chosen in [seeds, *([seed] for seed in seeds if len(seeds) > 1)]:
         of_seeds = scores if scores.missing else scores._replace(frame=scores.frame[scores.frame.index.isin(chosen, level="seed")])

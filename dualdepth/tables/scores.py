@@ -31,11 +31,8 @@ SHOWN_MEDIAN = 10.0
 
 
 class Scored:
-    """The frames that a run scores, in the order of their ground truth (notebook 02).
-
-    Raises:
-        InputError: notebook 02 has not been run, or its list of frames is something else.
-    """
+    """The frames that a run scores, in the order of their ground truth. An `InputError` says that notebook 02, which lists them, was not
+    run, or that its list is something else."""
 
     def __init__(self, run: Run) -> None:
         path = run.require(run.prepared / "test_frames.json", "02_prepare_data")
@@ -145,11 +142,8 @@ class Trained:
 
     @functools.cached_property
     def disparities(self) -> np.ndarray:
-        """(N, h, w) of the scored frames, at the network's own size; kept as `disparities.npy`, as the field saves it.
-
-        Raises:
-            InputError: the weights are missing, or were trained on drives of the scored frames.
-        """
+        """(N, h, w) of the scored frames, at the network's own size; kept as `disparities.npy`, as the field saves it. An `InputError` says
+        that the weights are missing, or were trained on drives of the scored frames."""
         frames = scored(self.run)
         self.check(frames.drives)
         return self.kept("disparities.npy", self._of_frames, lambda: self.model.disparities(frames.paths))
@@ -178,10 +172,8 @@ class Trained:
         return self.kept("per_image.csv", made_from, lambda: self.parts(whole).droplevel("part"))
 
     def depth(self, image: int, size: tuple[int, int] | None = None) -> np.ndarray:
-        """Depth of a scored frame in metres, median-scaled and clamped as it is scored, resized to `size` (H, W) or the ground truth's.
-
-        Without ground truth its unit is a tenth of the map's median.
-        """
+        """Depth of a scored frame in metres, median-scaled and clamped as it is scored, resized to `size` (H, W) or the ground truth's;
+        without ground truth its unit is a tenth of the map's median."""
         settings, size = self.run.profile.evaluation, size or scored(self.run).truth[image].shape
         disparity = np.asarray(self.disparities[image])
         enlarged = resize_bilinear(1.0 / disparity, size) if settings.resize == "depth" else 1.0 / resize_bilinear(disparity, size)

@@ -3,10 +3,7 @@
 import numpy as np
 from PIL import Image
 
-from dualdepth.data.kitti import Frame
-from dualdepth.data.label_maps import label_path, read_label_map
-
-DRIVE = "2011_09_26_drive_0052_sync"
+from dualdepth.data.label_maps import read_label_map
 
 
 def every_id(size=(7, 11)):
@@ -22,7 +19,3 @@ def test_every_training_id_and_ignore_come_back_as_they_were_written_and_of_a_pa
     image.save(path)
     assert Image.open(path).mode == "P"
     np.testing.assert_array_equal(read_label_map(path), every_id())
-
-
-def test_a_frame_has_its_map_below_its_drive(tmp_path):
-    assert label_path(tmp_path, Frame(f"2011_09_26/{DRIVE}", 12)) == tmp_path / DRIVE / "0000000012.png"

@@ -9,7 +9,6 @@ import pytest
 import torch
 from small_kitti import DRIVE, triplets_of, write_drive
 
-from dualdepth.data.frames import resample
 from dualdepth.data.loading import StatelessBatches, TripletDataset, augment, draw_crop, make_loader
 from dualdepth.errors import InputError
 from dualdepth.settings import Augmentation
@@ -166,9 +165,3 @@ def test_without_enlargement_the_whole_frame_is_shown_and_a_triplet_through_one_
     assert np.allclose(matrix[1], [0, 205 * 0.96, (46.8 + 0.5) * 0.96 - 0.5])
     images, _ = augment([frame, frame, frame], K, (96, 288), Augmentation(beyond_paper_flip=True), np.random.default_rng(1))
     assert np.array_equal(images[0], images[1]) and np.array_equal(images[0], images[2])
-
-
-def test_shrinking_averages_instead_of_skipping_pixels():
-    stripes = np.zeros((12, 36, 3), np.uint8)
-    stripes[:, ::3] = 240
-    assert (resample(stripes, (4, 12)) == 80).all()

@@ -51,12 +51,6 @@ def test_scores_equal_a_slow_reference(convention, size):
     assert row.to_dict() == pytest.approx(slow(prediction, grid, convention))
 
 
-def test_without_median_scaling_metres_are_metres():
-    grid = np.full(GRID, 10.0)
-    row = evaluate_make3d([np.full((1, 1), 5.0)], [grid], "band", median_scaling=False).loc[0]
-    assert row["abs_rel"] == 0.5 and row["scale_ratio"] == 1
-
-
 @pytest.mark.parametrize(
     ("size", "rows"), [((2272, 1704), (710, 1562)), ((568, 426), (177, 390)), ((140, 105), (44, 96)), ((50, 100), (0, 50))]
 )

@@ -1,22 +1,9 @@
-"""Bootstrap, spread and comparisons of trainings against closed forms."""
-
-import math
+"""Intervals over images and over seeds against closed forms; means and spread stand in tests/tables/test_table_rows.py."""
 
 import numpy as np
 import pytest
 
-from dualdepth.evaluation.statistics import Comparison, compare
-
-
-def test_trainings_are_compared_by_means_over_images_and_the_spread_over_seeds():
-    b = np.array([[0.1, 0.2, 0.3, 0.4]] * 3)
-    a = b + np.array([[0.01], [0.02], [0.06]]) + [0.004, -0.004, 0.002, -0.002]
-    result = compare(a, b)
-    assert result.seeds == 3
-    assert result.mean_a == pytest.approx(0.28) and result.mean_b == pytest.approx(0.25)
-    assert result.difference == pytest.approx(0.03)
-    # the seeds' differences 0.01, 0.02, 0.06 are off their mean by -0.02, -0.01, 0.03
-    assert result.spread == pytest.approx(math.sqrt((0.02**2 + 0.01**2 + 0.03**2) / 2))
+from dualdepth.evaluation.statistics import compare
 
 
 def test_the_interval_is_over_images_of_the_seeds_mean_difference():
@@ -31,13 +18,6 @@ def test_the_interval_is_over_images_of_the_seeds_mean_difference():
     assert again[0] == again[1] != result[3:5]
 
 
-@pytest.mark.parametrize(
-    ("low", "high", "clear"), [(0.01, 0.05, True), (-0.05, -0.01, True), (-0.01, 0.05, False), (0, 0.05, False), (-0.05, 0, False)]
-)
-def test_clear_of_images_means_that_zero_is_outside_the_interval(low, high, clear):
-    assert Comparison(0.1, 0.1, 0.0, low, high, 0.0, 2).clear_of_images is clear
-
-
 def test_students_interval_is_the_one_scipy_makes_of_the_seeds_differences():
     from scipy.stats import ttest_1samp
 
@@ -49,12 +29,6 @@ def test_students_interval_is_the_one_scipy_makes_of_the_seeds_differences():
         verdicts.add(bool(result.clear_of_seeds))
         assert bool(result.clear_of_seeds) == (interval.low > 0 or interval.high < 0)
     assert verdicts == {True, False}
-
-
-def test_one_seed_has_no_spread_and_no_verdict_over_seeds():
-    result = compare([[0.2, 0.3, 0.4]], [[0.1, 0.1, 0.1]])
-    assert math.isnan(result.spread) and result.seeds == 1
-    assert result.clear_of_seeds is None and result.clear_of_images
 
 
 @pytest.mark.slow

@@ -117,14 +117,6 @@ def test_global_features_join_the_deepest_map_and_change_every_scale(hr_net):
     assert not any(torch.allclose(a, b) for a, b in zip(plain.disparities, led.disparities))
 
 
-def test_by_itself_hr_net_has_no_room_for_global_features():
-    by_itself = HRNet().eval()
-    with torch.inference_mode():
-        assert by_itself(small()).disparities[0].shape == (2, 1, *SMALL)
-        with pytest.raises(RuntimeError):
-            by_itself(small(), 4, features())
-
-
 @pytest.mark.parametrize(
     ("make", "led"), [(lambda: LRNet("resnet18"), ()), (HRNet, ()), (lambda: HRNet(GLOBAL), (4, features()))], ids=["LR", "alone", "HR"]
 )

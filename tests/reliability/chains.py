@@ -168,11 +168,8 @@ def kill_at_random(chain: Chain, kills: int, each: int, seconds: float, rng: ran
 
 
 def try_kills(chain: Chain, kills: int, each: int) -> list[Tally]:
-    """Run a chain unkilled, then again and again with up to `each` kills, until there were `kills`.
-
-    Raises:
-        RuntimeError: the unkilled one does not end well.
-    """
+    """Run a chain unkilled, a `RuntimeError` if it does not end well; then again and again with up to `each` kills, until there were
+    `kills`."""
     rng, began = random.Random(0), time.monotonic()
     if chain.start().wait():
         raise RuntimeError(chain.said())

@@ -20,10 +20,8 @@ class Tally(NamedTuple):
 
 
 def write_count(test: str, tried: int, held: int, note: str = "") -> None:
-    """Append `{"test", "tried", "held", "note"}` as a line of JSON to the file that DUALDEPTH_RELIABILITY names, if it names one.
-
-    One write to a file opened for appending: lines of tests that run side by side do not mix.
-    """
+    """Append `{"test", "tried", "held", "note"}` as a line of JSON to the file that DUALDEPTH_RELIABILITY names, if it names one: by one
+    write to a file opened for appending, so that lines of tests that run side by side do not mix."""
     if path := os.environ.get("DUALDEPTH_RELIABILITY"):
         with open(path, "ab", buffering=0) as file:
             file.write((json.dumps({"test": test, "tried": tried, "held": held, "note": note}) + "\n").encode())
@@ -39,13 +37,8 @@ def until_killed(kills: int, each: int, kill_one: Callable[[int, int], Tally]) -
 
 
 def count_kills(try_kills: Callable[[Path, int, int], list[Tally]], note: str, kills: int, each: int) -> int:
-    """Kill as often as the command line asks and count.
-
-    Args:
-        try_kills: does it in a folder.
-        note: for the report, with the number of special kills at its {}.
-        kills, each: how often, and how often at most one that runs, unless the command line says otherwise.
-    """
+    """Kill by `try_kills`, in a folder, as often as the command line asks, or else `kills` in all and `each` of one that runs; and count.
+    `note` is for the report, with the number of special kills at its {}."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--kills", type=int, default=kills)
     parser.add_argument("--each", type=int, default=each, help="kills of one, at most")

@@ -53,11 +53,7 @@ def make_checkout(root: Path, **training: object) -> Run:
 
 
 def wait_until(true: Callable[[], object], seconds: float = 120) -> None:
-    """Wait for something.
-
-    Raises:
-        TimeoutError: it takes too long.
-    """
+    """Wait for something; a `TimeoutError` if it takes too long."""
     until = time.monotonic() + seconds
     while not true():
         if time.monotonic() > until:
@@ -88,11 +84,7 @@ def _train(run: Run, variant: str, environment: dict[str, str]) -> None:
 
 
 def finish(process: BaseProcess) -> None:
-    """Wait for a training.
-
-    Raises:
-        RuntimeError: it failed, or takes too long.
-    """
+    """Wait for a training; a `RuntimeError` if it fails or takes too long."""
     process.join(300)
     if process.exitcode is None:
         os.killpg(process.pid, signal.SIGKILL)
@@ -126,11 +118,8 @@ def caught_writing(process: BaseProcess, folder: Path) -> bool:
 
 
 def kill_at_random(run: Run, variant: str, kills: int, seconds: float, rng: random.Random) -> tuple[int, int]:
-    """Start a training, kill it, start it again … and at last let it end; `seconds` are those of two of its steps.
-
-    Returns:
-        Kills, and how many of them left a half-written file.
-    """
+    """Start a training, kill it, start it again … and at last let it end; `seconds` are those of two of its steps. Gives the kills, and how
+    many of them left a half-written file."""
     folder, done, torn = run.training(variant, 0), 0, 0
     while done < kills:
         process = start(run, variant)

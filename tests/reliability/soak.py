@@ -47,11 +47,8 @@ PARTS: dict[str, tuple[str, list[str]]] = {
 
 
 def run_part(about: str, words: list[str]) -> Row:
-    """Run a part and add up what it counted; what is fuzzed gets 1000 examples.
-
-    Returns:
-        `test`, `tried`, `held`, `note`; what went wrong is a case that did not hold.
-    """
+    """Run a part and add up what it counted, as `test`, `tried`, `held`, `note`; what went wrong is a case that did not hold. What is
+    fuzzed gets 1000 examples."""
     with tempfile.TemporaryDirectory() as folder:
         counts = Path(folder) / "counts.jsonl"
         environment = os.environ | {"OMP_NUM_THREADS": "1", "DUALDEPTH_RELIABILITY": str(counts), "DUALDEPTH_EXAMPLES": "1000"}

@@ -9,7 +9,6 @@ from dualdepth import paper
 from dualdepth.evaluation.depth import METRICS
 from dualdepth.tables import main
 from dualdepth.tables.main import BASELINES, main_scores, main_table
-from dualdepth.tables.rows import paired
 from dualdepth.tables.scores import Scored
 
 VALUES = {"lr": 0.2, "dual": 0.1, "untrained": 0.6, "constant": 0.5, "row_mean": 0.4, "mean_map": 0.3}
@@ -65,11 +64,3 @@ def test_real_frames_an_incomplete_list_and_what_is_not_trained_are_named(run, m
     assert np.isnan(missing["abs_rel"]) and missing["reason"] == "profile own does not train dual"
     assert rows["note"].drop("LR-Net + HR-Net, w/ SA").str.contains("25 of 697 frames").all()
     assert not ours(run, [0])["note"].str.contains("of 697|of 2 frames").any()
-
-
-def test_the_difference_to_a_baseline_is_paired(run):
-    row, _ = paired(main_scores(run, [0, 1]), "lr", "mean_map")
-    # the same noise in both cancels, so that the interval has no width
-    assert row["difference"] == pytest.approx(0.21 - 0.3) and row["high"] - row["low"] < 1e-12
-    assert row["mean_a"] == pytest.approx(0.21) and row["mean_b"] == pytest.approx(0.3)
-    assert row["spread"] == pytest.approx(0.02 / np.sqrt(2))

@@ -15,7 +15,7 @@ from dualdepth.evaluation.make3d import CONVENTIONS, METRICS, ROWS
 from dualdepth.run import Sources
 from dualdepth.tables import make3d, scores
 from dualdepth.tables.make3d import NO_PHOTOS, VARIANTS, load_photos, make3d_examples, make3d_scores, make3d_table, score_photos
-from dualdepth.tables.rows import comparisons, paired
+from dualdepth.tables.rows import paired
 from dualdepth.tables.scores import Trained, trained
 
 FAULT = {"lr": 0.4, "dual_no_sa": 0.3, "dual": 0.2}
@@ -141,12 +141,6 @@ def test_without_make3d_root_the_rows_say_how_to_get_it(run, tmp_path):
     assert ours[["abs_rel", "sq_rel", "rmse"]].isna().all(axis=None)
     assert paired(make3d_scores(run, [0]), "dual", "lr", part="band")[0]["reason"] == NO_PHOTOS
     assert load_photos(run) is None and make3d_examples(trained(run, "lr", 0)) is None
-
-
-def test_the_claim_is_paired_on_the_band(run):
-    claims = comparisons(paired(make3d_scores(run, [0, 1]), "dual", "lr", ["abs_rel"], part="band"))
-    assert claims[["a", "b", "metric", "n"]].values.tolist() == [["dual", "lr", "abs_rel", PHOTOS]]
-    assert claims.loc[0, "difference"] == pytest.approx(-0.04) and claims.loc[0, "in_words"].startswith("better by 0.04")
 
 
 def test_scores_of_each_convention_are_kept_until_a_photo_or_a_grid_changes(run, tmp_path):

@@ -35,12 +35,6 @@ def test_a_row_is_the_mean_over_images_then_over_seeds_with_its_spread(seeds, me
     assert found == pytest.approx({"abs_rel": mean, "abs_rel_std": spread, "n": images}, nan_ok=True)
 
 
-def test_a_variant_that_is_not_trained_says_so_and_is_not_asked_for_scores(make_run, make_scores, give):
-    give(lambda variant, seed: {"lr": make_scores(0.2)}[variant])
-    scores = collect(make_run("own", kitti="train: {lr: }\n"), ["lr", "dual"], [0])
-    assert method_row(scores, "dual") == {"variant": "dual", "source": "not run", "reason": "profile own does not train dual"}
-
-
 @pytest.mark.parametrize(
     ("variant", "card", "note"),
     [
