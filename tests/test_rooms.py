@@ -7,7 +7,7 @@ import pytest
 from import_graph import ROOT, closure, imports_of, modules
 
 ORDER = [
-    *("dualdepth", "errors", "files", "device", "geometry", "paper", "networks"),
+    *("dualdepth", "errors", "files", "device", "geometry", "refinement", "paper", "networks"),
     *("settings", "profile", "losses", "data", "evaluation", "run", "training"),
     *("model", "inference", "tables", "report", "notebooks", "cli"),
 ]
