@@ -163,11 +163,24 @@ def whole_image(path: str | Path) -> np.ndarray:
     end = {b"\xff\xd8": b"\xff\xd9", b"\x89P": b"IEND"}.get(data[:2].tobytes(), b"")  # of JPEG and PNG
     if end not in data[-64:].tobytes():
         with reading(path, AGAIN), contextlib.suppress(PIL.UnidentifiedImageError), PIL.Image.open(file := io.BytesIO(data)) as image:
-            if end not in data[file.tell() :].tobytes():  # behind the header, which may hold a small picture
+            if end in data[file.tell() :].tobytes():  # behind the header, which may hold a small picture
+                image.load()  # refuses pixels that are not there
+            elif image.format != "JPEG" or not np.array_equal(*(_pixels(_with_end(data, filling)) for filling in (b"", 4096 * b"U"))):
                 raise InputError(f"{path}: truncated ({data.size} bytes); {AGAIN}")
-            image.load()  # refuses pixels that are not there
+            else:
+                data = _with_end(data)
     check_image(path, data)
     return data
+
+
+def _with_end(data: np.ndarray, filling: bytes = b"") -> np.ndarray:
+    """A JPEG whose end marker is missing, with one; what fills a gap before it changes pixels that are not there."""
+    return np.frombuffer(data.tobytes().rstrip(b"\xff") + filling + b"\xff\xd9", np.uint8)
+
+
+def _pixels(data: np.ndarray) -> np.ndarray:
+    with PIL.Image.open(io.BytesIO(data)) as image:
+        return np.asarray(image)
 
 
 def check_image(path: str | Path, data: np.ndarray | bytes) -> None:
