@@ -17,6 +17,7 @@ from dualdepth.tables.scores import SEEDLESS, Scores, Trained, collect
 
 TRAJECTORY = ("t_err", "r_err", "ate", "rpe_t", "rpe_r")
 """t_err in % of the length, r_err in degrees per 100 m, ate and rpe_t in metres, rpe_r in degrees."""
+ALONE = "_posenet"  # Behind the name of a training whose poses are refined: its PoseNet's own.
 BLOCK = 50  # Snippets that are drawn together: five seconds, in which a car's motion is much the same.
 
 
@@ -30,6 +31,10 @@ def odometry_scores(run: Run, seeds: Sequence[int]) -> Scores:
     drives = drives_of(entries, world=run.profile.world is not None)
     variants = run.profile.pose_variants
     scores = collect(run, variants, seeds, lambda t: pd.concat([trajectories.follow(t, e) for e in entries]), reason=reason, drives=drives)
+    for variant, refined in scores.trainings.items():
+        if refined[0].card.get("refined"):
+            frames = {t.seed: pd.concat([trajectories.follow(t, entry, ALONE) for entry in entries]) for t in refined}
+            scores = scores.plus(variant + ALONE, frames, "what PoseNet says, not refined")
     known = "" if reason else f"the mean step of sequences {' '.join(trajectories.known_sequences(run))}, never turning"
     notes = {"constant": known, "straight": "a metre a frame along the optical axis", "inverted": "a mistake that snippets hardly see"}
     for name in trajectories.CONTROLS:
@@ -54,9 +59,10 @@ def made_from(run: Run, scores: Scores) -> list[Path]:
     return scores.weights + poses
 
 
-def _methods(run: Run) -> dict[str, str]:
+def _methods(run: Run, scores: Scores) -> dict[str, str]:
     labels = (run.profile.variant(name).label for name in ("odometry_lr", "odometry_dual"))
-    return dict(zip(run.profile.pose_variants, labels)) | trajectories.CONTROLS
+    ours = dict(zip(run.profile.pose_variants, labels))
+    return ours | {v + ALONE: f"{label}, PoseNet alone" for v, label in ours.items() if v + ALONE in scores.notes} | trajectories.CONTROLS
 
 
 def odometry_table(run: Run, scores: Scores) -> pd.DataFrame:
@@ -69,7 +75,7 @@ def odometry_table(run: Run, scores: Scores) -> pd.DataFrame:
     rows, train = [], [] if run.profile.world else [f"sequences {' '.join(run.profile.odometry_sequences()[0])}"]
     for length in trajectories.LENGTHS:
         cut = f"snippets of {length} frames, {'each from one output of PoseNet' if length == 3 else 'cut from the trajectory'}"
-        for name, method in _methods(run).items():
+        for name, method in _methods(run, scores).items():
             row = method_row(scores, name, (), note="" if name in trajectories.CONTROLS else ", ".join([*train, cut]))
             numbers = {} if name in scores.missing else _numbers(run, scores, name, length)
             rows.append({"method": method, "frames": length, **row, **numbers})
@@ -93,7 +99,7 @@ def _numbers(run: Run, scores: Scores, name: str, length: int) -> dict[str, Any]
 def trajectory_table(run: Run, scores: Scores) -> pd.DataFrame:
     """Errors of the whole trajectories for every alignment: rows per method, sequence and alignment, means and spread over seeds."""
     rows = []
-    for name, method in _methods(run).items():
+    for name, method in _methods(run, scores).items():
         if name in scores.missing:
             rows.append({"method": method} | not_run(scores.missing[name]))
             continue
@@ -116,7 +122,7 @@ def motion_table(run: Run, scores: Scores) -> pd.DataFrame:
     for variant, of_seeds in scores.trainings.items():
         for entry in sequences(run):
             fits = pd.DataFrame([_fit(*motions(training, entry)) for training in of_seeds]).mean().to_dict()
-            row = {"method": _methods(run)[variant], "variant": variant, "sequence": sequence_of(entry)[0]}
+            row = {"method": _methods(run, scores)[variant], "variant": variant, "sequence": sequence_of(entry)[0]}
             rows.append(row | fits | {"seeds": seed_label(t.seed for t in of_seeds), "source": MEASURED})
     columns = ["method", "variant", "sequence", "yaw_slope", "yaw_correlation", "yaw_mean_error", "step_slope", "step_correlation"]
     return pd.DataFrame(rows, columns=[*columns, "n", "seeds", "source"])

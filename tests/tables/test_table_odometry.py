@@ -166,7 +166,13 @@ def test_motions_are_refined_with_the_depth_that_learned_beside_posenet(run, net
         expected[..., :3, 3] /= near.mean(dim=(1, 2, 3))[:, None, None]  # in the unit of the disparities as they are
     found = predicted_motions(training(run), "09")
     np.testing.assert_allclose(found, expected, atol=1e-4)
-    assert np.abs(found - predict_poses(net, SIZE, files)).max() > 1e-3
+    alone = predicted_motions(training(run), "09", "_posenet")
+    np.testing.assert_allclose(alone, predict_poses(net, SIZE, files))
+    assert np.abs(found - alone).max() > 1e-3
+    table = odometry_table(run, odometry_scores(run, [0])).query("source == 'measured'").set_index(["method", "frames"])
+    rows = [table.loc[(f"Ours (LR-Net){end}", 3)] for end in ("", ", PoseNet alone")]
+    assert rows[0]["snippet_ate_mean_09"] != rows[1]["snippet_ate_mean_09"] and "poses refined" in rows[0]["note"]
+    assert {f"odometry_lr_seed0_09{end}.txt" for end in ("", "_posenet")} == {f.name for f in (run.results / "trajectories").iterdir()}
 
 
 def test_weights_that_saw_the_sequences_raw_drive_are_refused_or_named_in_the_table(run, net):
