@@ -17,7 +17,7 @@ from dualdepth.tables.scores import SEEDLESS, Scores, Trained, collect
 
 TRAJECTORY = ("t_err", "r_err", "ate", "rpe_t", "rpe_r")
 """t_err in % of the length, r_err in degrees per 100 m, ate and rpe_t in metres, rpe_r in degrees."""
-ALONE = "_posenet"  # Behind the name of a training whose poses are refined: its PoseNet's own.
+REFINED = "_refined"  # Behind the name of a training: its PoseNet's motions, refined with its depth.
 BLOCK = 50  # Snippets that are drawn together: five seconds, in which a car's motion is much the same.
 
 
@@ -31,10 +31,10 @@ def odometry_scores(run: Run, seeds: Sequence[int]) -> Scores:
     drives = drives_of(entries, world=run.profile.world is not None)
     variants = run.profile.pose_variants
     scores = collect(run, variants, seeds, lambda t: pd.concat([trajectories.follow(t, e) for e in entries]), reason=reason, drives=drives)
-    for variant, refined in scores.trainings.items():
-        if refined[0].card.get("refined"):
-            frames = {t.seed: pd.concat([trajectories.follow(t, entry, ALONE) for entry in entries]) for t in refined}
-            scores = scores.plus(variant + ALONE, frames, "what PoseNet says, not refined")
+    for variant, of_seeds in list(scores.trainings.items()):
+        frames = {t.seed: pd.concat([trajectories.follow(t, entry, refine=True) for entry in entries]) for t in of_seeds}
+        scores = scores.plus(variant + REFINED, frames, "")
+        scores.trainings[variant + REFINED] = of_seeds
     known = "" if reason else f"the mean step of sequences {' '.join(trajectories.known_sequences(run))}, never turning"
     notes = {"constant": known, "straight": "a metre a frame along the optical axis", "inverted": "a mistake that snippets hardly see"}
     for name in trajectories.CONTROLS:
@@ -62,7 +62,8 @@ def made_from(run: Run, scores: Scores) -> list[Path]:
 def _methods(run: Run, scores: Scores) -> dict[str, str]:
     labels = (run.profile.variant(name).label for name in ("odometry_lr", "odometry_dual"))
     ours = dict(zip(run.profile.pose_variants, labels))
-    return ours | {v + ALONE: f"{label}, PoseNet alone" for v, label in ours.items() if v + ALONE in scores.notes} | trajectories.CONTROLS
+    refined = {v + REFINED: f"{label}, poses refined" for v, label in ours.items() if v + REFINED in scores.trainings}
+    return ours | refined | trajectories.CONTROLS
 
 
 def odometry_table(run: Run, scores: Scores) -> pd.DataFrame:
@@ -76,7 +77,8 @@ def odometry_table(run: Run, scores: Scores) -> pd.DataFrame:
     for length in trajectories.LENGTHS:
         cut = f"snippets of {length} frames, {'each from one output of PoseNet' if length == 3 else 'cut from the trajectory'}"
         for name, method in _methods(run, scores).items():
-            row = method_row(scores, name, (), note="" if name in trajectories.CONTROLS else ", ".join([*train, cut]))
+            how = ["refined by direct image alignment, beyond the paper"] if name.endswith(REFINED) else []
+            row = method_row(scores, name, (), note="" if name in trajectories.CONTROLS else ", ".join([*train, *how, cut]))
             numbers = {} if name in scores.missing else _numbers(run, scores, name, length)
             rows.append({"method": method, "frames": length, **row, **numbers})
     return with_paper("odometry", rows)
@@ -119,19 +121,18 @@ def motion_table(run: Run, scores: Scores) -> pd.DataFrame:
     to the right: trajectories add it up. Predicted steps have no unit: they are first divided by the mean ratio.
     """
     rows = []
-    for variant, of_seeds in scores.trainings.items():
-        for entry in sequences(run):
-            fits = pd.DataFrame([_fit(*motions(training, entry)) for training in of_seeds]).mean().to_dict()
-            row = {"method": _methods(run, scores)[variant], "variant": variant, "sequence": sequence_of(entry)[0]}
-            rows.append(row | fits | {"seeds": seed_label(t.seed for t in of_seeds), "source": MEASURED})
+    for (variant, of_seeds), entry in product(scores.trainings.items(), sequences(run)):
+        fits = pd.DataFrame([_fit(*motions(training, entry, variant.endswith(REFINED))) for training in of_seeds]).mean().to_dict()
+        row = {"method": _methods(run, scores)[variant], "variant": variant, "sequence": sequence_of(entry)[0]}
+        rows.append(row | fits | {"seeds": seed_label(t.seed for t in of_seeds), "source": MEASURED})
     columns = ["method", "variant", "sequence", "yaw_slope", "yaw_correlation", "yaw_mean_error", "step_slope", "step_correlation"]
     return pd.DataFrame(rows, columns=[*columns, "n", "seeds", "source"])
 
 
-def motions(training: Trained, entry: str) -> tuple[np.ndarray, np.ndarray]:
+def motions(training: Trained, entry: str, refine: bool = False) -> tuple[np.ndarray, np.ndarray]:
     """True and predicted yaw (degrees a frame) and forward step (metres a frame) along a sequence, each (N − 1, 2)."""
     truth = yaw_and_step(trajectories.true_trajectory(training.run, entry).poses)
-    ours = yaw_and_step(trajectories.chain(trajectories.predicted_motions(training, entry)))
+    ours = yaw_and_step(trajectories.chain(trajectories.predicted_motions(training, entry, refine)))
     ours[:, 1] *= truth[:, 1].mean() / ours[:, 1].mean()
     return truth, ours
 
@@ -152,10 +153,11 @@ def odometry_claims(run: Run, scores: Scores) -> pd.DataFrame:
     seeds beat a control.
     """
     rows: list[dict[str, Any]] = []
-    trained = list(scores.trainings)
-    pairs = [*product(trained, trajectories.CONTROLS), *([(trained[1], trained[0])] if len(trained) == 2 else [])]
-    for sequence in names(run) if trained else ():
-        for a, b in pairs:
+    ours = list(scores.trainings)
+    trained, refined = ([v for v in ours if v.endswith(REFINED) == beyond] for beyond in (False, True))
+    stages = [*zip(trained[1:], trained), *zip(refined[1:], refined), *zip(refined, trained)]
+    for sequence in names(run) if ours else ():
+        for a, b in (*product(ours, trajectories.CONTROLS), *stages):
             place = f"sequence {sequence}"
             rows.append({"of": place, "a": a, "b": b, "metric": "t_err"} | _t_errs(*(scores.of(v, f"{sequence}, 7dof") for v in (a, b))))
             for row in paired(scores, a, b, ["ate"], part=f"{sequence}, 3 frames", block=BLOCK, of=place):
@@ -181,6 +183,7 @@ def paths(run: Run, scores: Scores, entry: str) -> dict[str, np.ndarray]:
     """Positions (N, 3) in metres for a plot, laid on the truth with 7dof: the truth and the first seed's of each training."""
     truth = trajectories.true_trajectory(run, entry).poses
     shown = {"Ground truth": relative(truth)[:, :3, 3]}
-    for of_seeds in scores.trainings.values():
-        shown[of_seeds[0].label] = aligned(trajectories.chain(trajectories.predicted_motions(of_seeds[0], entry)), truth)[:, :3, 3]
+    for variant, of_seeds in scores.trainings.items():
+        poses = trajectories.chain(trajectories.predicted_motions(of_seeds[0], entry, refine := variant.endswith(REFINED)))
+        shown[of_seeds[0].label + ", refined" * refine] = aligned(poses, truth)[:, :3, 3]
     return shown

@@ -19,7 +19,7 @@ from dualdepth.data.odometry import (
 from dualdepth.device import default_device
 from dualdepth.errors import InputError
 from dualdepth.evaluation.odometry import ALIGNMENTS, constant_velocity, inverted, mean_step, snippet_errors, snippets, trajectory_errors
-from dualdepth.model import DepthModel, load_pose_net, predict_poses
+from dualdepth.model import load_pose_net, predict_poses
 from dualdepth.run import Run, Sources
 from dualdepth.tables.scores import Trained
 
@@ -65,9 +65,9 @@ def true_trajectory(run: Run, entry: str) -> Trajectory:
     return Trajectory(np.array(numbers), poses[numbers], False)
 
 
-def predicted_motions(training: Trained, entry: str, alone: str = "") -> np.ndarray:
-    """PoseNet's motions (N − 2, 2, 4, 4) along a test sequence, refined where they were in training and are not wanted `alone`; kept beside
-    the weights and reused while they fit.
+def predicted_motions(training: Trained, entry: str, refine: bool = False) -> np.ndarray:
+    """PoseNet's motions (N − 2, 2, 4, 4) along a test sequence, or refined ones (`refinement`); kept beside the weights and reused while
+    they fit.
 
     Raises:
         InputError: the weights are missing, or were trained on the sequence.
@@ -75,23 +75,21 @@ def predicted_motions(training: Trained, entry: str, alone: str = "") -> np.ndar
     training.check(drives_of([entry], world=training.run.profile.world is not None))
     files = list(sequence_frames(training.run, entry).values())
     frames = [[str(f.resolve()), f.stat().st_size, f.stat().st_mtime_ns] for f in files]
-    name = f"motions_{'_'.join(sequence_of(entry))}{alone}.npy"
-    depth: tuple[DepthModel, np.ndarray] | tuple[()] = ()
-    if training.card.get("refined") and not alone:
-        depth = training.model, sequence_intrinsics(Sources.load(training.run).odometry_root, entry)
+    name = f"motions_{'_'.join(sequence_of(entry))}{'_refined' * refine}.npy"
+    depth = (training.model, sequence_intrinsics(Sources.load(training.run).odometry_root, entry)) if refine else ()
     return training.kept(name, {"frames": frames}, lambda: predict_poses(*load_pose_net(training.weights, default_device()), files, *depth))
 
 
-def follow(training: Trained, entry: str, alone: str = "") -> pd.DataFrame:
+def follow(training: Trained, entry: str, refine: bool = False) -> pd.DataFrame:
     """Score a training's PoseNet on a test sequence, and write its trajectory to `results/<profile>/trajectories`, in KITTI's format.
 
     Returns:
         Rows by (image, part): of parts such as "09, 3 frames" each snippet's `ate` and `rmse` in metres; of parts such as "09, 7dof", image
         0, what `trajectory_errors` says of the whole trajectory.
     """
-    motions, truth = predicted_motions(training, entry, alone), true_trajectory(training.run, entry)
+    motions, truth = predicted_motions(training, entry, refine), true_trajectory(training.run, entry)
     poses = chain(motions)
-    file = f"{training.variant}_seed{training.seed}_{sequence_of(entry)[0]}{alone}.txt"
+    file = f"{training.variant}_seed{training.seed}_{sequence_of(entry)[0]}{'_refined' * refine}.txt"
     write_trajectory(training.run.results / "trajectories" / file, poses)
     return _score(entry, truth, poses, {3: triplet_snippets(motions)})
 
