@@ -231,8 +231,8 @@ def predict_poses(
     Args:
         net, size: from `load_pose_net`.
         paths: N ≥ 3 consecutive frames.
-        depth, intrinsics: with the depth network that learned beside PoseNet poses are `refined`, beyond the paper, and with the (3, 3) of
-            the frames as they are; None leaves PoseNet's.
+        depth, intrinsics: the depth network that learned beside PoseNet, and (3, 3) in pixels of the frames; with them poses are `refined`,
+            beyond the paper.
 
     Returns:
         (N − 2, 2, 4, 4) float64: for each frame but the first and last, as target, the pose that maps its coordinates to the previous
@@ -259,8 +259,9 @@ def predict_poses(
                 share = (views.shape[-1] / image.shape[1], views.shape[-2] / image.shape[0])
                 matrix = resize_intrinsics(torch.tensor(intrinsics, dtype=torch.float32, device=device), *share)
                 disparity = torch.stack(near[1:-1]).to(device)
-                found = refined(views, disparity, found, matrix.expand(len(views), 3, 3))
-                found[..., :3] /= disparity.mean(dim=(1, 2, 3))[:, None, None]  # its own scale changes less from frame to frame
+                mean = depth.card.get("mean_disparity", 1.0)
+                found = refined(views, disparity, found, matrix.expand(len(views), 3, 3), mean)
+                found[..., :3] *= mean / disparity.mean(dim=(1, 2, 3))[:, None, None]  # their own scale changes less from frame to frame
             poses.append(pose_matrix(found.double()).cpu())
             frames, near = frames[-2:], near[-2:]
     return torch.cat(poses).numpy()

@@ -38,7 +38,7 @@ def refined(images: Tensor, disparity: Tensor, poses: Tensor, intrinsics: Tensor
         for _ in range(ITERATIONS):
             transform = steps.next(transform)
     better = steps.error(transform) < steps.error(start)
-    return pose_of(torch.where(better[:, None, None], transform, start)).unflatten(0, (-1, sources))
+    return torch.where(better[:, None], pose_of(transform), poses.float().flatten(0, 1)).unflatten(0, (-1, sources))
 
 
 def _mean(images: Tensor) -> Tensor:
@@ -69,7 +69,7 @@ class _Steps:
         return (sample(self.source, pixel) - self.target).flatten(1), valid.flatten(1)
 
     def error(self, transform: Tensor) -> Tensor:
-        """Mean absolute difference (B·S) over the pixels that are seen; infinite without any."""
+        """Mean absolute difference (B·S) over the pixels that are seen; without any not a number, which is never better."""
         residual, seen = self._residual(transform)
         return (residual.abs() * seen).sum(1) / seen.sum(1)
 

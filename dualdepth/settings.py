@@ -197,9 +197,9 @@ class Training(Settings):
     walls (`stages.corridor`), the paper's PoseNet at a rate of 1e-3. Depth then begins with motions that turn; else it takes turns upon
     itself."""
     beyond_paper_refined_after: int | None = Field(None, ge=0)
-    """Beyond the paper: after so many steps of stage 1, and in stage 2 from its first, PoseNet's poses are refined by direct image
-    alignment before images are compared (`refinement.py`), and PoseNet learns from the refined ones; None never does. Before depth has a
-    shape, alignment finds wrong poses."""
+    """Beyond the paper: after so many steps, and where stage 2 begins with LR-Net's depth from the first, PoseNet's poses are refined by
+    direct image alignment before images are compared (`refinement.py`), and PoseNet learns from the difference; None never does. Before
+    depth has a shape, alignment finds wrong poses."""
     beyond_paper_pose_encoder: PoseEncoder | None = None
     """Beyond the paper: PoseNet is such an encoder, begun like LR-Net's, with a small head behind it, as in monodepth2; depth then learns
     sooner."""

@@ -165,7 +165,11 @@ def whole_image(path: str | Path) -> np.ndarray:
         with reading(path, AGAIN), contextlib.suppress(PIL.UnidentifiedImageError), PIL.Image.open(file := io.BytesIO(data)) as image:
             if end in data[file.tell() :].tobytes():  # behind the header, which may hold a small picture
                 image.load()  # refuses pixels that are not there
-            elif image.format != "JPEG" or not np.array_equal(*(_pixels(_with_end(data, filling)) for filling in (b"", 4096 * b"U"))):
+            elif (
+                image.format != "JPEG"
+                or image.info.get("progressive")
+                or not np.array_equal(*(_pixels(_with_end(data, filling)) for filling in (b"", 4096 * b"U")))
+            ):
                 raise InputError(f"{path}: truncated ({data.size} bytes); {AGAIN}")
             else:
                 data = _with_end(data)

@@ -62,8 +62,7 @@ def made_from(run: Run, scores: Scores) -> list[Path]:
 def _methods(run: Run, scores: Scores) -> dict[str, str]:
     labels = (run.profile.variant(name).label for name in ("odometry_lr", "odometry_dual"))
     ours = dict(zip(run.profile.pose_variants, labels))
-    refined = {v + REFINED: f"{label}, poses refined" for v, label in ours.items() if v + REFINED in scores.trainings}
-    return ours | refined | trajectories.CONTROLS
+    return ours | {v + REFINED: f"{ours[v]}, poses refined" for v in ours if v + REFINED in scores.trainings} | trajectories.CONTROLS
 
 
 def odometry_table(run: Run, scores: Scores) -> pd.DataFrame:
@@ -75,9 +74,9 @@ def odometry_table(run: Run, scores: Scores) -> pd.DataFrame:
     """
     rows, train = [], [] if run.profile.world else [f"sequences {' '.join(run.profile.odometry_sequences()[0])}"]
     for length in trajectories.LENGTHS:
-        cut = f"snippets of {length} frames, {'each from one output of PoseNet' if length == 3 else 'cut from the trajectory'}"
+        cut = f"snippets of {length} frames, {'each from one triplet' if length == 3 else 'cut from the trajectory'}"
         for name, method in _methods(run, scores).items():
-            how = ["refined by direct image alignment, beyond the paper"] if name.endswith(REFINED) else []
+            how = ["refined by direct image alignment, in the unit of the disparities, beyond the paper"] if name.endswith(REFINED) else []
             row = method_row(scores, name, (), note="" if name in trajectories.CONTROLS else ", ".join([*train, *how, cut]))
             numbers = {} if name in scores.missing else _numbers(run, scores, name, length)
             rows.append({"method": method, "frames": length, **row, **numbers})

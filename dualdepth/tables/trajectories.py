@@ -6,16 +6,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from dualdepth.data.odometry import (
-    Trajectory,
-    drives_of,
-    frame_files,
-    poses_path,
-    read_trajectory,
-    sequence_intrinsics,
-    sequence_of,
-    write_trajectory,
-)
+from dualdepth.data import odometry
+from dualdepth.data.odometry import Trajectory, drives_of, frame_files, poses_path, read_trajectory, sequence_of, write_trajectory
 from dualdepth.device import default_device
 from dualdepth.errors import InputError
 from dualdepth.evaluation.odometry import ALIGNMENTS, constant_velocity, inverted, mean_step, snippet_errors, snippets, trajectory_errors
@@ -76,8 +68,12 @@ def predicted_motions(training: Trained, entry: str, refine: bool = False) -> np
     files = list(sequence_frames(training.run, entry).values())
     frames = [[str(f.resolve()), f.stat().st_size, f.stat().st_mtime_ns] for f in files]
     name = f"motions_{'_'.join(sequence_of(entry))}{'_refined' * refine}.npy"
-    depth = (training.model, sequence_intrinsics(Sources.load(training.run).odometry_root, entry)) if refine else ()
-    return training.kept(name, {"frames": frames}, lambda: predict_poses(*load_pose_net(training.weights, default_device()), files, *depth))
+    matrix = odometry.sequence_intrinsics(Sources.load(training.run).odometry_root, entry) if refine else None
+
+    def make() -> np.ndarray:
+        return predict_poses(*load_pose_net(training.weights, default_device()), files, training.model if refine else None, matrix)
+
+    return training.kept(name, {"frames": frames, "intrinsics": matrix.tolist() if refine else None}, make)
 
 
 def follow(training: Trained, entry: str, refine: bool = False) -> pd.DataFrame:

@@ -113,7 +113,7 @@ class Trainer:
             model.forward = torch.compile(model.forward, dynamic=False)
         self.corridor_steps = self.settings.beyond_paper_corridor_steps if model.low else 0
         after = self.settings.beyond_paper_refined_after
-        self.unrefined_steps = self.total if after is None else after if model.low else 0
+        self.unrefined_steps = self.total if after is None else 0 if getattr(model.depth_net, "residual", False) else after
         if 0 < self.total <= self.corridor_steps:
             corridor = f"beyond_paper_corridor_steps {self.corridor_steps}"
             raise InputError(f"{corridor} leave the depth network none of stage 1's {self.total} steps: lower them, or train longer")

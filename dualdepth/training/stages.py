@@ -69,7 +69,7 @@ class Stage(nn.Module):
         """Losses of a batch with `images` (B, 3, 3, H, W) uint8, target first, and `intrinsics` (B, 3, 3).
 
         In a corridor the depth network is left out: a road between walls stands for what it would say, so that PoseNet learns alone.
-        Where poses are to be refined, losses take the refined ones, and PoseNet learns to say them at once.
+        Where poses are to be refined, losses take the refined ones, and PoseNet learns from their difference to its own.
         """
         images, matrix = to_unit(batch["images"]), batch["intrinsics"]
         seen = recoloured(images, self.colour) if self.colour and self.training else images  # by the networks; losses compare `images`

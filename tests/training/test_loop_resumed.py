@@ -63,6 +63,21 @@ def test_the_running_mean_of_weights_after_a_corridor_is_kept_and_goes_on_after_
     assert equal(run("cut", profile=profile), mean)
 
 
+@pytest.mark.parametrize(("after", "refined"), [(None, STEPS * [False]), (2, 2 * [False] + (STEPS - 2) * [True])])
+def test_poses_are_refined_after_so_many_steps_also_of_a_resumed_training(run, profile_of, after, refined):
+    flags, profile = [], profile_of(training={"beyond_paper_refined_after": after})
+
+    class Noting(Stage):
+        def forward(self, batch, in_a_corridor, refine):
+            flags.append(refine)
+            return super().forward(batch, in_a_corridor, refine)
+
+    whole = run("whole", profile=profile, kind=Noting)
+    with pytest.raises(SystemExit):
+        run("cut", profile=profile, kind=at_forward(3, kill_softly))
+    assert equal(run("cut", profile=profile, kind=Noting), whole) and flags == refined + refined[3:]
+
+
 def test_a_killed_run_goes_on_from_its_last_checkpoint_to_the_same_weights_and_log(run, whole_and_log, tmp_path):
     whole, log = whole_and_log
     with pytest.raises(KeyboardInterrupt):
