@@ -61,7 +61,7 @@ def make_report(run: Run) -> Report:
         claims["verdict"] = claims["verdict"].where(claims["verdict"] == NOT_RUN, "not judged")
     training, words = run.profile.training, _WORDS["cautions"][judged]
     used = {"residual": training.beyond_paper_residual, "pose_encoder": training.beyond_paper_pose_encoder}
-    used |= {"frozen_pose": training.hr.beyond_paper_frozen_pose}
+    used |= {"frozen_pose": training.hr.beyond_paper_frozen_pose, "refined": training.beyond_paper_refined_after is not None}
     used |= {"augmented": training.augmentation.beyond_paper_flip or training.augmentation.beyond_paper_colour}
     beyond = [_WORDS[name] for name, on in used.items() if on]
     caution = " ".join([f"What these are numbers of: {run.profile.about}. Of them {words}", *beyond]) if words else ""
