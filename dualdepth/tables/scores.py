@@ -119,7 +119,7 @@ class Trained:
         before = f" after {card['starts_from']['steps']} of stage 1" if card["starts_from"] else ""
         parts = [card["encoder"]] if network != "hr" else []
         parts += [f"{height}x{width}", "ImageNet weights" if card["pretrained"] else "no ImageNet weights"]
-        parts += ["poses refined"] if card.get("refined") else []
+        parts += ["learned with refined poses"] if card.get("refined") else []
         return ", ".join([*parts, f"{card['steps']} steps{before}", "weights averaged" if card.get("average") else "last epoch"])
 
     def kept(self, name: str, made_from: dict[str, Any], make: Callable[[], Any]) -> Any:

@@ -42,7 +42,7 @@ def test_a_row_is_the_mean_over_images_then_over_seeds_with_its_spread(seeds, me
         (
             "lr_scratch",
             {"steps": 157, "average": 0.99, "refined": True},
-            "resnet34, 128x416, no ImageNet weights, poses refined, 157 steps, weights averaged",
+            "resnet34, 128x416, no ImageNet weights, learned with refined poses, 157 steps, weights averaged",
         ),
         ("dual", {"starts_from": {"steps": 156}}, "resnet34, 384x1248, no ImageNet weights, 100 steps after 156 of stage 1, last epoch"),
         ("mobilenet_v2", {"encoder": "mobilenet_v2"}, "mobilenet_v2, 384x1248, no ImageNet weights, 100 steps, last epoch"),
