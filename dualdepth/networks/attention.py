@@ -27,6 +27,7 @@ class SelfAssembledAttention(nn.Module):
         super().__init__()
         self.similarity, self.normalise, self.mixing = similarity, normalise, mixing
         self.embed = nn.Conv2d(channels + 3 + 2, WIDTH, 1)
+        self.register_buffer("gain", torch.ones(()))  # of f″, fixed where a training begins
         self.scale: Tensor | None = None  # root mean square of the last training batch's f″ (0-d)
 
     def forward(self, features: Tensor, image: Tensor) -> Tensor:
@@ -37,22 +38,19 @@ class SelfAssembledAttention(nn.Module):
             colours = F.adaptive_avg_pool2d(image.float(), (h, w))
             embedded = self.embed(torch.cat([features, colours, coordinates(features)], dim=1))  # f′ (B, 128, h, w)
             f = embedded.flatten(2)  # (B, 128, h·w)
-            assembled = (f @ self.weights(f)).unflatten(2, (h, w)) if self.mixing else embedded  # f″_j = Σ_i f′_i w_ij
+            assembled = self.gain * ((f @ self.weights(f)).unflatten(2, (h, w)) if self.mixing else embedded)  # f″_j = Σ_i f′_i w_ij
             if self.training:
                 self.scale = assembled.detach().square().mean().sqrt()
             return assembled
 
     @torch.no_grad()
     def begin(self, features: Tensor, image: Tensor) -> None:
-        """Scale the embedding, before the first step, so that f″ of this batch has the root mean square STARTING_RMS."""
-        first = {name: value.clone() for name, value in self.embed.named_parameters()}
-        low, high = -5.0, 3.0  # powers of ten
-        for _ in range(30):
-            gain = 10 ** ((low + high) / 2)
-            for name, value in self.embed.named_parameters():
-                value.copy_(first[name] * gain)
-            larger = self(features, image).square().mean().sqrt() > STARTING_RMS
-            low, high = (low, (low + high) / 2) if larger else ((low + high) / 2, high)
+        """Fix the gain, before the first step, with which f″ of this batch has the root mean square STARTING_RMS.
+
+        To shrink f′ instead would be unstable: a step of Adam is then a seventh of a weight, and f″ is cubic in them.
+        """
+        self.gain.fill_(1.0)
+        self.gain.fill_(STARTING_RMS / self(features, image).square().mean().sqrt())
 
     def weights(self, f: Tensor) -> Tensor:
         """w_ij (B, N, N) of embedded features (B, C, N)."""

@@ -127,7 +127,7 @@ def test_the_scale_is_the_last_training_batchs_root_mean_square(mixing):
     attention.eval()
     attention(*inputs(seed=3))
     assert attention.scale.item() == pytest.approx(expected, rel=1e-5)
-    assert set(attention.state_dict()) == {"embed.weight", "embed.bias"}
+    assert set(attention.state_dict()) == {"embed.weight", "embed.bias", "gain"}
 
 
 @pytest.mark.parametrize("scale", [0.1, 1, 10])
@@ -139,5 +139,4 @@ def test_it_starts_at_the_scale_of_the_features_beside_it(similarity, normalise,
     attention.begin(scale * features, image)
     with torch.no_grad():
         assert attention(scale * features, image).square().mean().sqrt() == pytest.approx(STARTING_RMS, rel=0.02)
-    gain = attention.embed.weight / first
-    assert gain.std() < 1e-4 * gain.mean() and gain.mean() > 0
+    assert torch.equal(attention.embed.weight, first)  # a step of Adam stays small beside them
