@@ -133,7 +133,7 @@ class DepthModel(nn.Module, ModelHubMixin):
         Raises:
             InputError: an image cannot be read, or the network gives no finite numbers.
         """
-        maps = []
+        maps, _ = [], self.eval()  # whatever mode the caller left it in
         with tqdm(total=len(images), desc="predicting", unit="image", disable=len(images) <= batch_size) as bar:
             for start in range(0, len(images), batch_size):
                 batch = [tensor_of(_rgb(image, read), self.size) for image in images[start : start + batch_size]]

@@ -193,6 +193,8 @@ def check_image(path: str | Path, data: np.ndarray | bytes) -> None:
     with reading(path, AGAIN):
         try:
             with PIL.Image.open(io.BytesIO(data)) as image:
+                if getattr(image, "tag_v2", {}).get(254, 0) & 1:  # of the first image of DNG, NEF and ARW
+                    raise InputError(f"{path}: a camera's raw photo, whose preview alone can be read; develop it to PNG or JPEG")
                 with contextlib.suppress(Exception):  # of damage behind the first page
                     if image.format != "MPO" and (count := getattr(image, "n_frames", 1)) > 1:
                         note(f"{path}: has {count} frames or pages; the first is taken")

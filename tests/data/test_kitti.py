@@ -94,9 +94,10 @@ def test_signed_values_begin_at_zero_those_of_32_bits_are_refused_and_of_several
     signed = np.linspace(-30000, 30000, 60 * 80).reshape(60, 80)
     cv2.imwrite(str(tmp_path / "a.tiff"), signed.astype(np.int16))
     assert np.array_equal(read_image(tmp_path / "a.tiff")[..., 1], signed.astype(np.int16).clip(0) >> 8)
-    for kind in ("int32", "float32"):
-        cv2.imwrite(str(tmp_path / f"{kind}.tif"), signed.astype(kind))
-        with pytest.raises(InputError, match=rf"{kind}\.tif: .*32-bit"):
+    PIL.Image.fromarray(wall(90, 120)).save(tmp_path / "raw.tif", tiffinfo={254: 1})  # a raw photo's preview
+    for kind in ("int32", "float32", "raw"):
+        kind == "raw" or cv2.imwrite(str(tmp_path / f"{kind}.tif"), signed.astype(kind))
+        with pytest.raises(InputError, match=rf"{kind}\.tif: .*({'raw photo' if kind == 'raw' else '32-bit'})"):
             read_image(tmp_path / f"{kind}.tif")
     pictures = [PIL.Image.fromarray(wall(90, 120, seed=k)) for k in range(3)]
     for name in ("a.webp", "a.png", "a.tif", "a.gif"):
