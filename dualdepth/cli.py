@@ -118,13 +118,10 @@ def _add_predict(place: Any) -> None:
     weights = "model.safetensors with its card beside it, its folder, or owner/name on the model hub (default: those of the package)"
     parser.add_argument("--weights", metavar="W", help=weights)
     parser.add_argument("--out", required=True, metavar="DIR", help="folder of the results; predictions.json in it says what is what")
-    parser.add_argument(
-        "--save",
-        metavar="KINDS",
-        help="some of colour (picture with a bar), depth (16-bit PNG, value / 256 as KITTI's), side (image and colours side by side; of a"
-        " video an MP4), npy (float32 array), ply (point cloud), with commas, or all (default: colour,depth of an image, side of a video;"
-        " the others are made of each frame of a video)",
-    )
+    kinds = "some of colour (picture with a bar), depth (16-bit PNG, value / 256 as KITTI's), side (image and colours side by side; of a"
+    kinds += " video an MP4), npy (float32 array), ply (point cloud), with commas, or all (default: colour,depth of an image, side of a"
+    kinds += " video; the others are made of each frame of a video)"
+    parser.add_argument("--save", metavar="KINDS", help=kinds)
     parser.add_argument("--device", metavar="D", help="cpu, cuda, cuda:1, mps (default: a GPU where there is one)")
     precision = "(default: bf16 on a CUDA GPU that has it, else float32; a CPU without bf16 instructions is very slow in it)"
     parser.add_argument("--precision", choices=("float32", "bf16"), help=precision)
@@ -283,6 +280,8 @@ def _predict(arguments: argparse.Namespace) -> int:
     from dualdepth.inference.results import SUFFIXES, Style
     from dualdepth.model import RELEASED, load
 
+    if "" in (*arguments.inputs, arguments.out, arguments.weights):
+        raise InputError("INPUT, --out or --weights is an empty word ''; give a file or a folder, '.' for the current one")
     if arguments.intrinsics and min(arguments.intrinsics[:2]) <= 0:
         raise InputError(f"--intrinsics {arguments.intrinsics}: the focal lengths must be positive")
     kinds = tuple(dict.fromkeys(SUFFIXES if arguments.save == "all" else arguments.save.split(",") if arguments.save else ()))

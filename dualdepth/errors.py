@@ -11,10 +11,7 @@ from tqdm import tqdm
 
 
 class InputError(Exception):
-    """Bad input: the message is one line that names the file, the value and the mend.
-
-    The command line prints it and ends with exit code 2.
-    """
+    """Bad input: the message is one line that names the file, the value and the mend. The command line prints it and ends with code 2."""
 
 
 SAID: dict[str, object] = {}
@@ -29,10 +26,8 @@ def note(text: str) -> None:
 
 @contextlib.contextmanager
 def reading(path: str | Path, mend: str) -> Iterator[None]:
-    """Turn whatever the block raises into an `InputError` that names the file and the mend. For reading and parsing alone.
-
-    Readers have a kind of exception for each damage, so all kinds are taken.
-    """
+    """Turn whatever the block raises into an `InputError` that names the file and the mend. For reading and parsing alone. Readers have a
+    kind of exception for each damage, so all kinds are taken."""
     try:
         yield
     except InputError:
@@ -48,10 +43,9 @@ def reading(path: str | Path, mend: str) -> Iterator[None]:
 @contextlib.contextmanager
 def exit_on_input_error() -> Iterator[None]:
     """Turn an `InputError`, or a file that may not be touched, into one line on stderr and exit code 2, for commands and scripts.
-
     Ctrl-C is one line, too, and exit code 130. A full disk for what is printed is exit code 1, a pipe that is closed early 141 without a
-    line; a character that the locale lacks is printed as its number.
-    """
+    line; a character that the locale lacks is printed as its number."""
+    sys.stderr = sys.stderr or os.fdopen(os.open(os.devnull, os.O_WRONLY), "w")  # None where it was closed before the program began
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
@@ -59,7 +53,7 @@ def exit_on_input_error() -> Iterator[None]:
         try:
             yield
         finally:
-            if sys.stdout:  # None where it was closed before the program began
+            if sys.stdout:  # None, too
                 sys.stdout.flush()
     except (InputError, PermissionError) as error:
         denied = isinstance(error, PermissionError)

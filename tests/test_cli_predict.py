@@ -98,21 +98,21 @@ def test_every_kind_of_photo_becomes_depth_of_its_own_size(photos, run, out, cap
     for name in sizes:
         png = cv2.imread(str(out / f"{name}.depth.png"), cv2.IMREAD_UNCHANGED)
         np.testing.assert_allclose(png / 256, np.minimum(read(out, name), 65535 / 256), atol=1 / 512 + 1e-4)
-        assert cv2.imread(str(out / f"{name}.colour.png")).shape[0] == 120
-        assert (out / f"{name}.ply").stat().st_size > 60 * 100 * 15
+        assert cv2.imread(str(out / f"{name}.colour.png")).shape[0] == 120 and (out / f"{name}.ply").stat().st_size > 60 * 100 * 15
 
 
-def test_broken_files_are_named_and_the_others_done(photos, run, capsys):
+def test_broken_files_are_named_and_the_others_done(photos, run, capsys, monkeypatch):
     broken = {"a0.png": b"", "b1.jpg": b"no image", "c2.png": (photos / "a.png").read_bytes()[:200], "d3.mp4": b"no video"}
     for name, content in broken.items():
         (photos / name).write_bytes(content)
-    for counts in ("6 predicted, 4 broken\n", "0 predicted, 6 were there, 4 broken\n"):
-        assert run(photos) == 1
+    for counts in ("6 predicted, 5 broken\n", "0 predicted, 6 were there, 5 broken\n"):
+        assert run(photos, photos / "gone") == 1
         said = capsys.readouterr()
-        assert all(f"broken: {photos / name}: " in said.err for name in broken) and said.out.endswith(counts)
+        assert all(f"broken: {photos / name}: " in said.err for name in ("gone", *broken)) and said.out.endswith(counts)
     for name in broken:
         (photos / name).unlink()
     shutil.copyfile(photos / "a.png", photos / "a0.png")
+    monkeypatch.setattr("sys.stderr", None)  # as of 2>&-
     assert run(photos) == 0
 
 
@@ -140,14 +140,11 @@ def test_a_run_that_is_stopped_goes_on_where_it_was(photos, run, out, stop_at, c
         run(photos)
     assert len(list(out.glob("*.depth.png"))) == 4
     (out / ".a.0123abcd.part.png").touch()  # as a killed writer leaves it
-    assert run(photos) == 0
-    assert capsys.readouterr().out.endswith("2 predicted, 4 were there\n") and len(calls) == 7
+    assert run(photos) == 0 and capsys.readouterr().out.endswith("2 predicted, 4 were there\n") and len(calls) == 7
     assert not list(out.glob(".*.part*")) and len(visible(out)) == 13
 
 
-@pytest.mark.parametrize(
-    ("words", "scale", "unit"), [(["--scale", 2.5], 2.5, "relative depth x2.5"), (["--batch-size", 4], 1, "relative depth")]
-)
+@pytest.mark.parametrize(("words", "scale", "unit"), [(["--scale", 2.5], 2.5, " x2.5"), (["--batch-size", 4], 1, "")])
 def test_a_scale_is_applied_to_all_and_said_and_batches_give_what_single_images_give(photos, run, out, tmp_path, words, scale, unit):
     (photos / "b0.png").write_bytes(b"")
     assert run(photos, "--save", "npy", "--batch-size", 1, "--out", tmp_path / "one") == 1
@@ -155,7 +152,18 @@ def test_a_scale_is_applied_to_all_and_said_and_batches_give_what_single_images_
     for path in (tmp_path / "one").glob("*.npy"):
         np.testing.assert_allclose(np.load(out / path.name), scale * np.load(path), rtol=1e-5)
     with PIL.Image.open(out / "a.depth.png") as image:
-        assert f"value / 256 = {unit};" in image.text["Description"]
+        assert f"value / 256 = relative depth{unit};" in image.text["Description"]
+
+
+def test_a_principal_point_outside_of_a_picture_is_refused_for_that_picture(photos, clip, run, capsys):
+    assert run(photos, clip, "--save", "ply", "--intrinsics", 90, 90, 80, 45) == 1
+    said = capsys.readouterr()
+    assert (
+        f"broken: {photos}/e turned.jpg: 60x100 pixels do not hold the point CX 80 CY 45" in said.err
+        and "6 predicted, 1 broken" in said.out
+    )
+    assert run(photos / "a.png", clip, "--save", "ply", "--intrinsics", 90, 90, 80, 75) == 1
+    assert f"{photos}/a.png: 100x60 pixels" in capsys.readouterr().err
 
 
 def test_a_gpu_that_is_too_small_gets_smaller_batches(photos, run, monkeypatch):
@@ -168,17 +176,14 @@ def test_a_gpu_that_is_too_small_gets_smaller_batches(photos, run, monkeypatch):
         return predict(model, images)
 
     monkeypatch.setattr(DepthModel, "predict_batch", small)
-    assert run(photos, "--batch-size", 4) == 0
-    assert sizes == [4, 2, *[1] * 6]
+    assert run(photos, "--batch-size", 4) == 0 and sizes == [4, 2, *[1] * 6]
 
 
 def test_a_video_becomes_a_video_side_by_side(clip, run, out):
-    assert run(clip) == 0
-    assert visible(out) == ["clip.side.mp4", "predictions.json"]
+    assert run(clip) == 0 and visible(out) == ["clip.side.mp4", "predictions.json"]
     made = Video(out / "clip.side.mp4")
     frames = [frame for _, frame in made.frames()]
-    assert made.rate == 10 and len(frames) == 10
-    assert frames[0].shape[0] == 120 and frames[0].shape[1] > 2 * 161
+    assert made.rate == 10 and len(frames) == 10 and frames[0].shape[0] == 120 and frames[0].shape[1] > 2 * 161
 
 
 def test_each_frame_has_files_where_they_are_asked_for_and_the_first_ones_say_that_all_are_there(clip, run, out, stop_at, capsys):
@@ -188,8 +193,7 @@ def test_each_frame_has_files_where_they_are_asked_for_and_the_first_ones_say_th
         run(*words)
     assert sorted(path.name for path in folder.glob("*.npy")) == [f"{i:06d}.depth.npy" for i in range(1, 7)]
     for expected in ("1 predicted\n", "0 predicted, 1 were there\n"):
-        assert run(*words) == 0
-        assert capsys.readouterr().out.endswith(expected)
+        assert run(*words) == 0 and capsys.readouterr().out.endswith(expected)
     assert len(list(folder.iterdir())) == 20
     depths = [np.load(folder / f"{i:06d}.depth.npy").mean() for i in range(10)]
     assert depths == sorted(depths, reverse=True)
@@ -197,9 +201,7 @@ def test_each_frame_has_files_where_they_are_asked_for_and_the_first_ones_say_th
 
 def test_a_video_that_ends_early_gives_what_it_has_and_says_so(clip, run, out, capsys):
     clip.write_bytes(b"00dc".join(clip.read_bytes().split(b"00dc")[:6]))  # before the fifth frame's end
-    assert run(clip) == 1
-    assert f"broken: {clip}: " in capsys.readouterr().err
-    assert (out / "clip.side.mp4").is_file()
+    assert run(clip) == 1 and f"broken: {clip}: " in capsys.readouterr().err and (out / "clip.side.mp4").is_file()
 
 
 def test_a_video_that_the_codec_does_not_take_stops_no_other(clip, photos, run, capsys, monkeypatch):
@@ -226,6 +228,7 @@ NUMBERS = {"--scale": ("0", "nan", "inf"), "--focal": ("0", "nan", "inf"), "--fo
         (["{photos}", "--save", "colour,gif"], "'gif'"),
         *((["{photos}", option, value], f"{option}: {value} must be") for option, wrong in NUMBERS.items() for value in wrong),
         (["{photos}", "--intrinsics", "1", "0", "5", "5"], "--intrinsics [1.0, 0.0, 5.0, 5.0]: the focal lengths"),
+        *((["{photos}", *words, ""], "an empty word ''") for words in ([], ["--out"], ["--weights"])),
         (["{photos}", "--intrinsics", "1", "1", "inf", "5"], "--intrinsics: inf must be"),
         (["{photos}", "--device", "tpu"], "'tpu'"),
         (["{photos}", "--out", "{photos}/a.png"], "a.png: "),
@@ -233,8 +236,7 @@ NUMBERS = {"--scale": ("0", "nan", "inf"), "--focal": ("0", "nan", "inf"), "--fo
     ids=str,
 )
 def test_mistakes_are_one_line_and_nothing_is_written(photos, run, out, refused, words, said):
-    assert said in refused(run, *(word.format(photos=photos) for word in words))
-    assert not out.exists()
+    assert said in refused(run, *(word.format(photos=photos) for word in words)) and not out.exists()
 
 
 ERRORS = {"No space": OSError(28, "No space left on device"), "PYTHONUTF8=1": UnicodeEncodeError("ascii", "ü", 0, 1, "no")}

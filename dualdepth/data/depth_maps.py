@@ -55,6 +55,7 @@ class DepthMaps(Sequence):
             raise InputError(f"{path}: refused, since it unpacks to {announced / 1e9:.1f} GB; {MEND}")
         if self.names == [FIELD_KEY]:
             values = self._member(FIELD_KEY)
+            values = values[:, 0] if values.ndim == 4 and values.shape[1] == 1 else values
             if values.dtype == object or values.ndim == 3:
                 self._stacked, self.names = values, [f"{number:06d}" for number in range(len(values))]
 

@@ -51,7 +51,8 @@ def media(paths: Iterable[Path], where: object, videos: bool = True) -> list[Pat
     inside = [path for path in parts if path.is_dir() and path.name[:1] != "." and not (path / "predictions.json").exists()]
     below = len(inside) if Path(str(where)).is_dir() else 0
     folders = f"folders in it ({below}) are not looked into; " + (f"'{where}/**/*' stands for all" if videos else "give one of them")
-    files = [p for p in sorted(parts, key=lambda p: (parts[p], p)) if p.name[:1] != "." and p.suffix.lower() not in TEXTS and p.is_file()]
+    shown = [p for p in sorted(parts, key=lambda p: (parts[p], p)) if p.name[:1] != "." and p.suffix.lower() not in TEXTS]
+    files = [path for path in shown if path.is_file() or not path.exists()]  # with links that lead nowhere, of which a user is told
     for path in files:
         with contextlib.suppress(InputError):
             if path.suffix.lower() in IMAGES + VIDEOS * videos or is_image(path) or (videos and Video(path).close() is None):
@@ -102,8 +103,8 @@ class Video:
         self.convert = shlex.join(["ffmpeg", "-i", str(whole), "-crf", "17", str(whole.with_suffix(".converted.mp4"))])
         """What a user may do about a damaged one."""
         there, self._first = self._capture.read()
-        if not there:
-            codec = int(self._capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little", signed=True).strip(b"\0").decode("ascii", "ignore")
+        codec = int(self._capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little", signed=True).strip(b"\0").decode("ascii", "ignore")
+        if not there or codec == "ansi":  # of a text, which FFmpeg draws
             self.close()
             empty = self.path.is_file() and not self.path.stat().st_size
             what = f"no video that can be decoded{f' (codec {codec})' * codec.isalnum()}; copy it again or convert it: {self.convert}"

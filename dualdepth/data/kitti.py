@@ -21,7 +21,7 @@ from dualdepth.errors import InputError, note, reading
 
 CAMERA_OF_SIDE = {"l": "image_02", "r": "image_03"}
 SUFFIXES = tuple(case(ending) for case in (str.lower, str.upper, str.title) for ending in (".png", ".jpg", ".jpeg"))
-AGAIN = "copy or download it again"
+AGAIN, FOLDERS = "copy or download it again", "give the folder that holds 2011_09_26, 2011_09_28, …"
 HEIF = tuple(b"ftyp" + brand for brand in b"heic heix heim heis hevc mif1 msf1 avif avis".split())  # Bytes 4 to 12 of phones' photos.
 TIFF = (b"II", b"MM")  # Bytes 0 to 2.
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # What cannot be read is told in one line here.
@@ -47,8 +47,7 @@ def read_frame_list(path: str | Path) -> list[Frame]:
     """Read a list in the field's format, one `2011_09_26/2011_09_26_drive_0052_sync 0000000000 l` a line; without `l` or `r`, left.
     SfMLearner's `…_sync/image_02/data/0000000000.png` is read, too, and monodepth's pairs. An `InputError` names the first bad line."""
     pattern = r"(\d{4}_\d{2}_\d{2})/(\1_drive_\d{4}_sync)(?: |/(image_0\d)/data/)(\d{1,10})(?:\.(?i:png|jpe?g)(?: \S+)?)?(?: ([lr]))?"
-    lines = _matched_lines(path, pattern, "date/date_drive_XXXX_sync frame l|r")
-    if not lines:
+    if not (lines := _matched_lines(path, pattern, "date/date_drive_XXXX_sync frame l|r")):
         raise InputError(f"{path}: the list is empty")
     return [Frame(f"{date}/{drive}", int(index), camera or CAMERA_OF_SIDE[side or "l"]) for date, drive, camera, index, side in lines]
 
@@ -83,12 +82,7 @@ def numbered_lines(path: Path) -> list[tuple[int, str]]:
     return [(number, " ".join(line.split())) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
 
 
-def check_root(
-    root: str | Path,
-    option: str = "KITTI_ROOT",
-    pattern: str = "20??_??_??/calib_cam_to_cam.txt",
-    mend: str = "give the folder that holds 2011_09_26, 2011_09_28, …",
-) -> Path:
+def check_root(root: str | Path, option: str = "KITTI_ROOT", pattern: str = "20??_??_??/calib_cam_to_cam.txt", mend: str = FOLDERS) -> Path:
     """A folder of data that a user gives as `option`: the KITTI raw folder, or another one with its pattern and mend.
     An `InputError` says that it holds nothing of the pattern."""
     if not any(Path(root).glob(pattern)):
@@ -108,26 +102,30 @@ def velodyne_path(root: str | Path, frame: Frame) -> Path:
 
 
 def read_image(path: str | Path) -> np.ndarray:
-    """Decode an image to RGB, (H, W, 3) uint8; grey is repeated over the channels. Of 16-bit files it takes the 8 highest of the bits that
-    their folder uses (10, 12, 14 or 16). An `InputError` says that there is none, or that it is truncated or no image."""
+    """Decode an image to RGB, (H, W, 3) uint8; grey is repeated over the channels. 16-bit files of a folder are shown alike: the highest 8
+    of the bits in use (10, 12, 14 or 16), or a narrow range far from 0. An `InputError` says that it is missing, truncated or no image."""
     image, path = _decoded(Path(path)), Path(path)
     if image.dtype == np.uint8:
         return image
-    deepest = _deepest(path.parent, path.suffix) or np.percentile(image[::4, ::4], 99)
-    bits = next(bits for bits in (8, 10, 12, 14, 16) if deepest < 2**bits)
+    lowest, highest = _range(path.parent, path.suffix.lower()) or np.percentile(image[::4, ::4], (1, 99))
+    if highest / 2 < lowest < highest:  # such as temperatures in hundredths of a kelvin
+        note(f"{path.parent}: holds 16-bit images with values from {lowest:.0f} to {highest:.0f} alone; these become 0 to 255")
+        return np.interp(image, (lowest, highest), (0, 255)).round().astype(np.uint8)
+    bits = next(bits for bits in (8, 10, 12, 14, 16) if highest < 2**bits)
     if bits < 16:
         note(f"{path.parent}: holds 16-bit images with values of {bits} bits; the highest 8 of these are taken")
     return np.minimum(image >> (bits - 8), 255).astype(np.uint8)
 
 
 @functools.cache
-def _deepest(folder: Path, suffix: str, most: int = 32) -> int:
-    """The largest value, but for a hundredth of the pixels, in up to `most` 16-bit images all over a folder, which are scaled alike."""
-    files, found = sorted(path for path in folder.glob("*") if path.suffix == suffix and not path.name.endswith(".depth.png")), [0]
+def _range(folder: Path, suffix: str, most: int = 32) -> tuple[float, float] | None:
+    """The least and largest value, but for a hundredth of the pixels each, in up to `most` 16-bit images (none black) all over a folder."""
+    files, found = sorted(p for p in folder.glob("*") if p.suffix.lower() == suffix and not p.name.lower().endswith(".depth.png")), []
     for path in files[:: -(-len(files) // most) or 1]:
         with contextlib.suppress(InputError):
-            found.append(int(np.percentile(image[::4, ::4], 99)) if (image := _decoded(path)).dtype == np.uint16 else 0)
-    return max(found)
+            if (image := _decoded(path)).dtype == np.uint16 and (ends := np.percentile(image[::4, ::4], (1, 99)))[1]:
+                found.append(ends)
+    return (np.min(found, 0)[0], np.max(found, 0)[1]) if found else None
 
 
 def _decoded(path: Path) -> np.ndarray:

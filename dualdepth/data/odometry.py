@@ -4,7 +4,6 @@ Layout, as KITTI unpacks: `ROOT/sequences/00/image_2/000000.png` (or .jpg), `ROO
 """
 
 import functools
-import os
 from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -46,7 +45,7 @@ def frame_files(root: str | Path, entry: str) -> dict[int, Path]:
     """Image files of a sequence by frame number, in order; where there are none, an `InputError` names the cameras that are there."""
     name, camera = sequence_of(entry)
     folder = Path(root) / "sequences" / name / camera
-    files = [folder / name for name in os.listdir(folder)] if folder.is_dir() else []
+    files = sorted(folder.iterdir() if folder.is_dir() else [], key=lambda file: (file.suffix.lower() == ".png", file))  # so PNG wins
     numbered = {int(file.stem): file for file in files if file.suffix in SUFFIXES and file.stem.isdecimal()}
     if not numbered:
         there = sorted(p.name for p in folder.parent.glob("image_*") if p.is_dir())
@@ -136,7 +135,7 @@ def read_trajectory(path: str | Path) -> Trajectory:
         refuse(np.diff(frames, prepend=-1) <= 0, "the frame number is not above the one before; sort the lines, one a frame")
     poses = np.tile(np.eye(4), (len(values), 1, 1))
     rows = values[:, int(indexed) :].reshape(len(values), -1, 4)
-    refuse(np.abs(rows[:, 3:] - poses[:, 3, None]).max((1, 2), initial=0) > 0, f"the last 4 of 16 numbers are not 0 0 0 1; {FORMAT}")
+    refuse(np.abs(rows[:, 3:] - np.eye(4)[3]).max((1, 2), initial=0) > TOLERANCE, f"the last 4 of 16 numbers are not 0 0 0 1; {FORMAT}")
     poses[:, :3] = rows[:, :3]
     rotations = poses[:, :3, :3]
     orthonormal = np.abs(rotations @ rotations.mT - np.eye(3)).max((1, 2)) < TOLERANCE

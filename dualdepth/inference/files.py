@@ -34,29 +34,30 @@ input's path, its own time (ns) and since when it has that. An input replaced by
 LONGEST = 120  # Bytes of a result's name before its ending; file systems allow 255, and a temporary name is longer.
 GPU_BATCH = 16  # Images at a time on a GPU, halved until they fit; on a CPU one at a time is as fast as several.
 WORKERS = min(8, os.cpu_count() or 1)  # Threads that read, draw and write.
+Given = Path | InputError  # A file, or why what was given stands for none.
 
 
 def predict_files(
-    paths: Sequence[Path], out: Path, model: DepthModel, style: Style, *, kinds: Sequence[str], batch_size: int | None, overwrite: bool
+    paths: Sequence[Given], out: Path, model: DepthModel, style: Style, *, kinds: Sequence[str], batch_size: int | None, overwrite: bool
 ) -> bool:
     """Write what is predicted of files into a folder, say what comes of it, and keep results that are newer than what they are made of.
-
     `paths` are from `find_inputs`. `kinds` are keys of `SUFFIXES`; an empty sequence takes colour and depth of an image, side of a video.
     Returns whether all inputs could be read to their end; the others are named on stderr. An `InputError` says that results cannot be
-    written, that another process writes there, or that the network gives no numbers.
-    """
+    written, that another process writes there, or that the network gives no numbers."""
     options = {"weights": f"{model.card['sha256']}: {model.about}", "precision": model.precision, "scale": repr(style.scale)}
     options["camera"] = repr(style[2:])
     try:
         with locked(out / ".predict.lock"):
             for folder in (out, *out.glob("*.frames")):
                 remove_leftovers(folder, below=False)
-            tasks = plan(paths, out, options, kinds, overwrite)
+            tasks = plan([path for path in paths if isinstance(path, Path)], out, options, kinds, overwrite)
             todo = [task for task in tasks if task.kinds]
             if any("ply" in task.kinds for task in todo):
                 print(f"point clouds: {style.camera((1, 1)).origin}")
             print(f"{len(todo)} of {len(tasks)} inputs to predict on {model.device} in {model.precision}", flush=True)
             predictor = Predictor(model, out, style, batch_size or (GPU_BATCH if model.device.type == "cuda" else 1))
+            for error in (path for path in paths if isinstance(path, InputError)):
+                predictor.tell(error)
             predictor.run(todo)
     except UnicodeEncodeError as error:
         raise InputError(f"{out}: this locale has no {error.object[error.start]!a} for names of files; set PYTHONUTF8=1") from None
@@ -69,14 +70,20 @@ def predict_files(
     return not predictor.broken
 
 
-def find_inputs(given: Iterable[str | Path]) -> list[Path]:
-    """Files in the order given, each once.
-
-    A file is taken whatever its ending. A folder stands for the images and videos in it (not below it), in natural order; a pattern
-    (`*`, `?`, `[…]`, `**`) stands for those that match it. Hidden files and results of an earlier prediction are left out of both.
-    An `InputError` names what is not there, or has no images or videos in it.
-    """
-    return list({path.resolve(): path for word in given for path in _files(str(word))}.values())
+def find_inputs(given: Iterable[str | Path]) -> list[Given]:
+    """Files in the order given, each once. A file is taken whatever its ending. A folder stands for the images and videos in it (not below
+    it), in natural order; a pattern (`*`, `?`, `[…]`, `**`) stands for those that match it. Hidden files and results of an earlier
+    prediction are left out of both. An `InputError` names what is not there, or has no images or videos in it; it is in the list among
+    files, and raised where there are none."""
+    found: dict[str, Given] = {}
+    for word in map(str, given):
+        try:
+            found |= {os.path.realpath(path): path for path in _files(word)}
+        except InputError as error:
+            found[f"broken: {word}"] = error
+    if (first := next(iter(found.values()), None)) and not any(isinstance(path, Path) for path in found.values()):
+        raise first
+    return list(found.values())
 
 
 def _files(word: str) -> list[Path]:
@@ -142,7 +149,8 @@ def _name(path: Path, inputs: dict[str, dict[str, Any]], changed: int, size: int
     stem = path.stem.encode("utf-8", "surrogateescape")[:LONGEST].decode("utf-8", "ignore")
     for name in itertools.chain([stem], (f"{stem}-{number}" for number in itertools.count(2))):
         entry = inputs.setdefault(name, {"path": here, "changed": -1, "since": 0, "size": None})
-        if entry["path"] == here or ((entry["changed"], entry["size"]) == (changed, size) and not Path(entry["path"]).exists()):
+        moved = (entry["changed"], entry["size"]) == (changed, size) and not Path(entry["path"]).exists()
+        if moved or os.path.realpath(entry["path"]) == os.path.realpath(path):
             entry |= {"path": here, "size": size}
             return name
 
@@ -171,8 +179,8 @@ class Predictor:
     style: Style
     batch_size: int
     made: int = 0  # Inputs whose results were written.
-    broken: list[Path] = field(default_factory=list)
-    """Inputs that could not be read, or not to their end; they are named on stderr and left out."""
+    broken: list[object] = field(default_factory=list)
+    """What was said on stderr of inputs that could not be read, or not to their end, and are left out."""
 
     def run(self, tasks: Sequence[Task]) -> None:
         """Do all tasks, the images first."""
@@ -186,22 +194,32 @@ class Predictor:
                 if task.video:
                     self._video(task, pool)
 
-    def _tell(self, task: Task, trouble: object) -> None:
-        self.broken.append(task.path)
+    def tell(self, trouble: object) -> None:
+        """Name a broken input on stderr, and count it."""
+        self.broken.append(trouble)
         tqdm.write(f"broken: {trouble}", file=sys.stderr)
 
     def _read(self, task: Task) -> Item | None:
         try:
-            return Item(task, read_image(task.path))
+            self._check_camera(task, (image := read_image(task.path)).shape)
+            return Item(task, image)
         except InputError as error:
-            return self._tell(task, error)
+            return self.tell(error)
+
+    def _check_camera(self, task: Task, size: Sequence[int]) -> None:
+        """Refuse to make points of a picture (height, width) that does not hold the given principal point: it is of another size."""
+        _, _, cx, cy = self.style.intrinsics or (0, 0, 0, 0)
+        if "ply" in task.kinds and not (0 <= cx <= size[1] and 0 <= cy <= size[0]):
+            where = f"{task.path}: {size[1]}x{size[0]} pixels do not hold the point CX {cx:g} CY {cy:g} of --intrinsics"
+            raise InputError(f"{where}; give those of images of this size")
 
     def _video(self, task: Task, pool: Executor) -> None:
         """Predict a video. The files of its first frame are written last, and so say that all are there."""
         try:
             video = Video(task.path)
+            self._check_camera(task, video.size)
         except InputError as error:
-            return self._tell(task, error)
+            return self.tell(error)
         side, first = "side" in task.kinds, []
 
         def drawn(item: Item) -> np.ndarray | None:
@@ -213,11 +231,11 @@ class Predictor:
             try:
                 write_video(self.out / task.file("side"), video.rate, bar) if side else deque(bar, maxlen=0)
             except NotImplementedError as error:
-                return self._tell(task, f"{task.path}: {error}")
+                return self.tell(f"{task.path}: {error}")
         self._save(first[0])
         self.made += 1
         if video.missing:
-            self._tell(task, f"{task.path}: {video.missing}, and its results hold those")
+            self.tell(f"{task.path}: {video.missing}, and its results hold those")
 
     def _save(self, item: Item) -> None:
         """Write the files of an image or a video's frame."""

@@ -19,11 +19,8 @@ LARGE = 10_000  # Numbers from which on a tensor is kept in 8 bits, where that i
 def save_weights(path: str | Path, model: nn.Module, card: dict[str, Any], card_name: str | None = None, small: bool = False) -> None:
     """Write weights as safetensors and beside them `<name>.json`, or `card_name`, the card, with the weights' sha256 in it.
 
-    The card goes first, so that weights are never there without one. `small` keeps them `in_8_bits`.
-
-    Raises:
-        InputError: they could not be written.
-    """
+    The card goes first, so that weights are never there without one. `small` keeps them `in_8_bits`. An `InputError` says that they could
+    not be written."""
     path = Path(path)
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in model.state_dict().items()}
     tensors = in_8_bits(tensors) if small else tensors
@@ -48,13 +45,11 @@ def in_8_bits(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
 
 def load_card(path: str | Path) -> dict[str, Any]:
     """Read the card of a weights file: `<name>.json` beside it or `config.json`, as the hub has it; of a link, beside the file itself, too.
-
-    Raises:
-        InputError: there is none, or no weights either, or it is not JSON.
-    """
-    there = Path(path).exists()
-    places = [file for place in (Path(path), Path(path).resolve()) for file in (place.with_suffix(".json"), place.with_name(HUB_CARD))]
-    card = next((file for file in places if file.exists()), places[0] if there else Path(path))
+    A folder stands for its `model.safetensors`. An `InputError` says that there is none, or no weights either, or that it is not JSON."""
+    path = Path(path, "model.safetensors") if Path(path).is_dir() else Path(path)
+    there = path.exists()
+    places = [file for place in (path, path.resolve()) for file in (place.with_suffix(".json"), place.with_name(HUB_CARD))]
+    card = next((file for file in places if file.exists()), places[0] if there else path)
     with reading(card, "keep the weights' card beside them, if they are this project's" if there else "give the weights of a training"):
         values = json.loads(card.read_text(encoding="utf-8"))
         if not isinstance(values, dict):
@@ -67,25 +62,17 @@ def load_card(path: str | Path) -> dict[str, Any]:
 
 def finished_card(path: str | Path) -> dict[str, Any] | None:
     """The card of weights that are there and are those that it was written with; None of a save that was killed between card and weights.
-
-    Raises:
-        InputError: there are weights without a readable card.
-    """
+    An `InputError` says that there are weights without a readable card."""
     digest = file_digest(Path(path))
     card = load_card(path) if digest else {}
     return card if digest and digest == card.get("sha256") else None
 
 
 def load_weights(path: str | Path, model: nn.Module, prefix: str = "") -> dict[str, Any]:
-    """Fill `model` with released weights, also those `in_8_bits`, and return their card.
+    """Fill `model` with released weights, a file with its card beside it, also those `in_8_bits`, and return their card.
 
-    Args:
-        path: the safetensors file; its card lies beside it.
-        model, prefix: takes the tensors whose names begin with the prefix, such as `depth_net.`, without it.
-
-    Raises:
-        InputError: the file is missing, truncated, changed since its card was written, or of another network.
-    """
+    The model takes the tensors whose names begin with the prefix, such as `depth_net.`, without it. An `InputError` says that the file is
+    missing, truncated, changed since its card was written, or of another network."""
     card = load_card(path)
     with reading(path, "train again or copy it again"):
         digest, tensors = file_digest(Path(path)), load_file(path)

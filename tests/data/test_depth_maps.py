@@ -26,8 +26,10 @@ def test_saved_maps_come_back_in_order_as_plain_float32_and_the_same_bytes_twice
 
 def test_order_is_the_files_even_where_keys_do_not_sort(tmp_path):
     path = tmp_path / "plain.npz"
-    np.savez(path, *[np.full((2, 2), float(i)) for i in range(12)])
-    assert [depth[0, 0] for depth in depth_maps.load_ground_truth(path)] == list(range(12))
+    maps = [np.full((2, 2), float(i)) for i in range(12)]
+    for write in (lambda: np.savez(path, *maps), lambda: np.savez(path, data=maps), lambda: np.savez(path, data=np.array(maps)[:, None])):
+        write()
+        assert [depth[0, 0] for depth in depth_maps.load_ground_truth(path)] == list(range(12))
 
 
 @pytest.mark.parametrize(("frames", "places"), [(0, [0, 1, 3]), (3, [0, 1, 2]), (5, [0, 1, 3]), (4, None), (6, None), (697, None)])

@@ -69,8 +69,7 @@ ORDERS |= {", ".join(str(1403636579763555584 + k) for k in (0, 50_000_896, 100_0
 def test_names_say_which_frames_are_neighbours_and_natural_order_is_that_of_time(tmp_path, listed, expected, capsys):
     names = listed.split(", ")
     footage = Footage(write_frames(tmp_path / "f", [frame(0)] * len(names), names[::-1]))
-    assert numbers(footage) == expected and footage.length == len(names)
-    assert [still.file.stem for still in footage.stills()] == names
+    assert numbers(footage) == expected and footage.length == len(names) and [still.file.stem for still in footage.stills()] == names
     unsure = names[0] in ("a", "2024-01-02 10-15-59-900", "IMG_9997", "12.5000", "1.75")
     assert sum("order" in line or "roll over" in line for line in capsys.readouterr().err.splitlines()) == unsure
 
@@ -90,13 +89,15 @@ def test_what_a_file_is_its_bytes_say_and_of_what_is_left_out_a_folder_tells(tmp
     (tmp_path / "phone.heic").write_bytes(b"\0\0\0\x1cftypheic" + bytes(100))
     with pytest.raises(InputError, match=r"phone\.heic: a HEIC .*heif-convert /.*/phone\.heic /.*/phone\..*\.jpg"):
         read_image(tmp_path / "phone.heic")
-    for name in ("notes.txt", "own.json", ".hidden.png", "letter.docx", "array.npy"):
+    for name in ("notes.txt", "own.json", ".hidden.png", "letter.docx", "array.npy", "text.asc"):
         (tmp_path / name).write_bytes(b"words")
+    for name in ("lost.png", "lost.dat"):
+        (tmp_path / name).symlink_to("nowhere")
     found = {path.name: is_image(path) for path in media(tmp_path.iterdir(), "here")}
-    images = dict.fromkeys(("still.gif", "no times.gif", "photo.mov", "phone.heic"), True)
+    images = dict.fromkeys(("still.gif", "no times.gif", "photo.mov", "phone.heic", "lost.png"), True)
     assert found == images | dict.fromkeys(("moves.gif", *(film.name for film in films)), False)
     assert all(len(list(Video(path).frames())) == 3 for path in films) and len(list(Video(tmp_path / "moves.gif").frames())) == 4
-    assert "here: 2 of 23 files are left out, since they are no images or videos (.docx, .npy)" in capsys.readouterr().err
+    assert "here: 4 of 26 files are left out, since they are no images or videos (.asc, .dat, .docx, .npy)" in capsys.readouterr().err
     assert {path.name for path in media(tmp_path.iterdir(), "here", videos=False)} == {*images, *others}
 
 

@@ -35,9 +35,8 @@ def test_lists_of_other_scripts_and_systems_are_read(tmp_path):
 
 @pytest.mark.parametrize("line", [DRIVE, f"{DRIVE[11:]} 7 l", f"{DRIVE} 7 x", f"2011_09_28{DRIVE[10:]} 7 l", f"{DRIVE} 7 l extra"])
 def test_a_malformed_line_is_named_with_its_file_and_number(listed, line):
-    path = listed(f"{DRIVE} 0000000000 l\n{line}\n")
     with pytest.raises(InputError, match=r"list\.txt, line 2: "):
-        read_frame_list(path)
+        read_frame_list(listed(f"{DRIVE} 0000000000 l\n{line}\n"))
 
 
 def test_static_frames_and_test_scenes_name_drives_as_lists_do(listed):
@@ -51,15 +50,12 @@ def test_static_frames_and_test_scenes_name_drives_as_lists_do(listed):
 @pytest.mark.parametrize("suffix", [".png", ".jpg"])
 def test_grey_is_repeated_over_three_channels(tmp_path, suffix):
     cv2.imwrite(str(tmp_path / f"a{suffix}"), np.full((16, 24), 77, np.uint8))
-    found = read_image(tmp_path / f"a{suffix}")
-    assert found.shape == (16, 24, 3)
-    assert np.abs(found.astype(int) - 77).max() <= 1
+    assert (found := read_image(tmp_path / f"a{suffix}")).shape == (16, 24, 3) and np.abs(found.astype(int) - 77).max() <= 1
 
 
 @pytest.mark.parametrize("kind", ["JPEG", "progressive JPEG", "PNG", "TIFF", "BMP", "GIF"])
 def test_bytes_behind_an_image_do_no_harm_and_pixels_that_are_missing_are_noticed(tmp_path, kind):
-    whole, thumbnail, path = io.BytesIO(), io.BytesIO(), tmp_path / "photo"
-    picture = PIL.Image.fromarray(wall(90, 120))
+    whole, thumbnail, path, picture = io.BytesIO(), io.BytesIO(), tmp_path / "photo", PIL.Image.fromarray(wall(90, 120))
     picture.resize((12, 9)).save(thumbnail, "JPEG")  # whose end is not the photo's
     words = {"exif": b"Exif\0\0" + thumbnail.getvalue(), "progressive": kind[0] == "p"} if "JPEG" in kind else {}
     picture.save(whole, kind.split()[-1], **words)
@@ -90,6 +86,14 @@ def test_deep_images_of_a_folder_show_the_bits_that_it_holds_which_is_said_once(
     assert capsys.readouterr().err.count(f"{tmp_path}: holds 16-bit images with values of {bits} bits") == (bits < 16)
 
 
+def test_a_narrow_range_far_from_zero_is_scaled_for_all_frames_of_a_folder_alike(tmp_path, capsys):
+    for name, least in {"a.png": 28000, "b.PNG": 30000, "c.png": 0}.items():  # hundredths of a kelvin, and a closed shutter
+        cv2.imwrite(str(tmp_path / name), np.linspace(least, least and least + 1000, 4800).reshape(60, 80).astype(np.uint16))
+    cold, warm, none = (read_image(tmp_path / name).astype(int)[..., 0] for name in ("a.png", "b.PNG", "c.png"))
+    assert [cold.min(), cold.max(), warm.min(), warm.max(), none.max()] == [0, 86, 173, 255, 0] and len(np.unique(cold)) == 87
+    assert capsys.readouterr().err.count(f"{tmp_path}: holds 16-bit images with values from 28002 to 30946 alone") == 1
+
+
 def test_signed_values_begin_at_zero_those_of_32_bits_are_refused_and_of_several_pictures_the_first_is_read(tmp_path, capfd):
     signed = np.linspace(-30000, 30000, 60 * 80).reshape(60, 80)
     cv2.imwrite(str(tmp_path / "a.tiff"), signed.astype(np.int16))
@@ -116,17 +120,15 @@ def test_photos_are_turned_as_they_say(tmp_path, kind):
 
 def test_intrinsics_are_those_of_the_cameras_rectified_projection(tmp_path):
     write_calibration(tmp_path)
-    path = tmp_path / "2011_09_26/calib_cam_to_cam.txt"
-    path.write_text(path.read_text().replace("P_rect_03: 2.2", "P_rect_03: 3.3"))
-    assert intrinsics(tmp_path, "2011_09_26").tolist() == [[220, 0, 104], [0, 220, 104], [0, 0, 1]]
-    assert intrinsics(tmp_path, "2011_09_26", "image_03")[0, 0] == 330
+    (path := tmp_path / "2011_09_26/calib_cam_to_cam.txt").write_text(path.read_text().replace("P_rect_03: 2.2", "P_rect_03: 3.3"))
+    assert intrinsics(tmp_path, day := "2011_09_26").tolist() == [[220, 0, 104], [0, 220, 104], [0, 0, 1]]
+    assert intrinsics(tmp_path, day, "image_03")[0, 0] == 330
 
 
 def test_a_calibration_entry_keeps_its_numbers_and_rows_of_a_file_without_names_are_cameras(tmp_path):
     path = tmp_path / "calib.txt"
     path.write_text("4 5\nT: 1.5e-01 -2 3\n\n6 7\nR: a b\n")
-    values = read_calibration(path)
-    assert values.keys() == {"T"} and kitti.calibration_entry(values, "T", 3, path).tolist() == [0.15, -2, 3]
+    assert (values := read_calibration(path)).keys() == {"T"} and kitti.calibration_entry(values, "T", 3, path).tolist() == [0.15, -2, 3]
     path.write_text("\n4 5\n6 7\n")
     assert {key: row.tolist() for key, row in read_calibration(path).items()} == {"P0": [4, 5], "P1": [6, 7]}
 

@@ -50,8 +50,7 @@ def test_an_epoch_shows_every_triplet_once_but_an_incomplete_last_batch_in_an_or
     epoch = [key for batch in batches(range(0, 3), samples=12) for key in batch]
     assert Counter(epoch) == Counter((0, i) for i in range(12))
     found = batches(range(0, 4), samples=10)
-    assert [{epoch for epoch, _ in batch} for batch in found] == [{0}, {0}, {1}, {1}]
-    assert all(len(set(batch)) == 4 for batch in found)
+    assert [{epoch for epoch, _ in batch} for batch in found] == [{0}, {0}, {1}, {1}] and all(len(set(batch)) == 4 for batch in found)
     orders = [tuple(i for b in batches(range(2 * e, 2 * e + 2), samples=8, seed=s) for _, i in b) for s in (0, 1) for e in (0, 1)]
     assert len(set(orders)) == 4
 

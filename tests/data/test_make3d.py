@@ -40,8 +40,7 @@ def test_pairs_are_found_by_name_in_their_order(make_root, photo_folder, grid_fo
     root = make_root(photo_folder=photo_folder, grid_folder=grid_folder)
     (root / photo_folder / "._img-a-p-001t000.jpg").write_bytes(b"a leftover of another system")
     pairs = find_pairs(root)
-    assert [pair.name for pair in pairs] == sorted(NAMES)
-    assert pairs[0].photo == root / photo_folder / "img-a-p-001t000.jpg"
+    assert [pair.name for pair in pairs] == sorted(NAMES) and pairs[0].photo == root / photo_folder / "img-a-p-001t000.jpg"
     assert pairs[0].grid == root / grid_folder / "depth_sph_corr-a-p-001t000.mat"
 
 
@@ -78,8 +77,7 @@ def test_a_truncated_photo_keeps_its_size_and_what_is_left(tmp_path, kept):
 def test_a_whole_photo_is_decoded_to_rgb_also_with_bytes_after_its_end(tmp_path):
     path = tmp_path / "img-a.jpg"
     path.write_bytes(cv2.imencode(".jpg", np.full((40, 30, 3), (0, 0, 250), np.uint8))[1].tobytes() + b"\0" * 50)
-    assert not is_truncated(path)
-    assert read_photo(path)[20, 15, 0] > 200 > 50 > read_photo(path)[20, 15, 2]
+    assert not is_truncated(path) and read_photo(path)[20, 15, 0] > 200 > 50 > read_photo(path)[20, 15, 2]
 
 
 def test_a_preview_at_the_beginning_does_not_hide_a_missing_end(tmp_path):

@@ -19,6 +19,8 @@ def root(tmp_path):
     write_sequence(tmp_path, "00", [0, 1, 2, 3, 5, 6, 7])
     folder = tmp_path / "sequences/00/image_2"
     (folder / "000002.png").rename(folder / "000002.PNG")
+    for name in ("000002.JPG", "000003.jpg", "000003.jpeg"):
+        (folder / name).touch()  # beside a PNG, which wins
     write_sequence(tmp_path, "06", range(3), camera="image_0", calibration="calib_p0_p1.txt")
     return tmp_path
 
@@ -35,7 +37,7 @@ def test_triplets_are_three_consecutive_frames_of_one_sequence_and_none_is_broke
     assert sequences == ["00", "06"] and triplets[-1].name == "odometry/06/image_0/000001"
     numbers = [[int(path.stem) for path in t.paths] for t in triplets]
     assert numbers == [[1, 0, 2], [2, 1, 3], [6, 5, 7], [1, 0, 2]]  # target, previous, next
-    assert all(path.is_file() for t in triplets for path in t.paths)
+    assert all(path.suffix.lower() == ".png" and path.is_file() for t in triplets for path in t.paths)
     broken = {root / "sequences/00/image_2/000003.png", root / "sequences/06/image_0/000000.png"}
     assert [t.name[-6:] for t in indexed(root, "00", broken=broken)[0]] == ["000001", "000006"]
     with pytest.raises(InputError, match="sequences/06/image_0: no three consecutive"):
@@ -80,8 +82,7 @@ def test_real_sequences_are_read_by_what_their_folder_holds(real):
     assert len(odometry_triplets(root, entries)) == sum({i - 1, i + 1} <= there for there in files for i in there)
     for entry in entries:
         (fx, _, cx), (_, fy, cy), _ = sequence_intrinsics(root, entry)
-        assert fx == fy and 0.5 < fx / cx / 2 < 0.7 and cy < cx
-        assert odometry.poses_path(root, entry).is_file()
+        assert fx == fy and 0.5 < fx / cx / 2 < 0.7 and cy < cx and odometry.poses_path(root, entry).is_file()
 
 
 def random_poses(count, seed=0):
@@ -100,10 +101,13 @@ def test_a_line_is_the_3x4_matrix_or_the_4x4_one_row_by_row(tmp_path):
     (tmp_path / "a.txt").write_text("0 -1 0 5 1 0 0 6 0 0 1 7\n\n1.0e+00 0 0 1 0 1 0 2 0 0 1 -3.5\r\n\n")
     read = read_trajectory(tmp_path / "a.txt")
     assert read.frames.tolist() == [0, 1] and not read.indexed and read.poses.dtype == np.float64
-    assert read.poses[0].tolist() == [[0, -1, 0, 5], [1, 0, 0, 6], [0, 0, 1, 7], [0, 0, 0, 1]]
-    assert read.poses[1, :3, 3].tolist() == [1, 2, -3.5]
+    assert read.poses[0].tolist() == [[0, -1, 0, 5], [1, 0, 0, 6], [0, 0, 1, 7], [0, 0, 0, 1]] and read.poses[1, :3, 3].tolist() == [
+        1,
+        2,
+        -3.5,
+    ]
     for frame in ("", "7 "):
-        (tmp_path / "a.txt").write_text(f"{frame}0 -1 0 5 1 0 0 6 0 0 1 7 0 0 0 1")
+        (tmp_path / "a.txt").write_text(f"{frame}0 -1 0 5 1 0 0 6 0 0 1 7 1e-9 0 0 1.0000001")
         whole = read_trajectory(tmp_path / "a.txt")
         assert whole.frames.tolist() == [7 if frame else 0] and np.array_equal(whole.poses[0], read.poses[0])
 
@@ -112,8 +116,9 @@ def test_a_line_is_the_3x4_matrix_or_the_4x4_one_row_by_row(tmp_path):
 def test_a_13th_number_in_front_is_the_frame(tmp_path, numbers):
     (tmp_path / "a.txt").write_text("".join(f"{n} 1 0 0 {i} 0 1 0 0 0 0 1 0\n" for i, n in enumerate(numbers)))
     read = read_trajectory(tmp_path / "a.txt")
-    assert read.indexed and read.frames.tolist() == [2, 3, 70] and read.frames.dtype.kind == "i"
-    assert read.poses[:, 0, 3].tolist() == [0, 1, 2]
+    assert (
+        read.indexed and read.frames.tolist() == [2, 3, 70] and read.frames.dtype.kind == "i" and read.poses[:, 0, 3].tolist() == [0, 1, 2]
+    )
 
 
 def test_what_is_written_is_read_without_loss_and_what_cannot_be_is_named(tmp_path):

@@ -43,8 +43,9 @@ def test_folders_and_patterns_stand_for_their_images_and_videos_and_each_file_co
 @pytest.mark.parametrize(("given", "what"), [("gone.png", "such"), ("*.xyz", "file matches"), ("deep/in", "images"), ("deep", ".*'deep/")])
 def test_what_is_not_there_is_named(folder, given, what):
     (folder / "deep/in").mkdir(parents=True)
-    with pytest.raises(InputError, match=rf"^{re.escape(given)}: no {what}"):
-        find_inputs([given])
+    with pytest.raises(InputError, match=rf"^{re.escape(given)}: no {what}") as error:
+        find_inputs([given, "gone too"])
+    assert list(map(str, find_inputs([given, "b.jpg", folder / "b.jpg"]))) == [str(error.value), f"{folder}/b.jpg"]  # among others
 
 
 OPTIONS = {"weights": "w", "scale": "1.0"}
@@ -83,24 +84,21 @@ def done(left):
 
 
 def test_files_of_one_stem_get_names_of_their_own_that_stay(files, tmp_path):
-    for paths in (files[:1], files, files[2::-1]):
+    for paths in (files[:1], files, files[2::-1], [tmp_path / "b/../a/x.png"]):
         tasks = plan(paths, tmp_path / "out", OPTIONS, None, False)
-        assert {task.path: task.name for task in tasks}.items() <= dict(zip(files, ("x", "x-2", "x-3", "y"))).items()
+        assert {task.path.resolve(): task.name for task in tasks}.items() <= dict(zip(files, ("x", "x-2", "x-3", "y"))).items()
 
 
 def test_what_is_there_is_left_out_and_what_is_not_or_whose_input_changed_is_made(files, tmp_path, left, done):
     done(files[:2])
-    assert left(files) == [(), (), ("colour", "depth"), ("colour", "depth")]
-    assert left(files[:1], ("depth", "npy")) == [("npy",)]
+    assert left(files) == [(), (), ("colour", "depth"), ("colour", "depth")] and left(files[:1], ("depth", "npy")) == [("npy",)]
     (tmp_path / "out" / "x.depth.png").unlink()
-    assert left(files[:2]) == [("depth",), ()]
-    assert left(files[1:2], overwrite=True) == [("colour", "depth")]
+    assert left(files[:2]) == [("depth",), ()] and left(files[1:2], overwrite=True) == [("colour", "depth")]
     done(files[3:], ("side", "npy"))
     assert left(files[3:], ("side", "npy", "ply")) == [("ply",)]
     for when in (None, (1e9, 1e9), (4e9, 4e9)):  # replaced by another, by an older one, by one of a clock that is ahead
         os.utime(files[1], when)
-        assert left(files[1:2]) == [("colour", "depth")] == done(files[1:2])
-        assert left(files[1:2]) == [()]
+        assert left(files[1:2]) == [("colour", "depth")] == done(files[1:2]) and left(files[1:2]) == [()]
 
 
 def test_inputs_that_were_moved_keep_their_results_and_others_of_their_name_get_new_ones(files, tmp_path, left, done):

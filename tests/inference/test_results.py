@@ -63,15 +63,13 @@ def test_points_project_to_their_pixels_in_their_colours(depth, tmp_path):
     v, u = np.indices(depth.shape).reshape(2, -1)
     np.testing.assert_allclose(50 * points[:, 0] / points[:, 2] + 30, u, atol=1e-3)
     np.testing.assert_allclose(55 * points[:, 1] / points[:, 2] + 20, v, atol=1e-3)
-    assert np.array_equal(rgb, image.reshape(-1, 3))
-    assert "comment camera: fx 50.0 fy 55.0 cx 30.0 cy 20.0 as given" in comments
+    assert np.array_equal(rgb, image.reshape(-1, 3)) and "comment camera: fx 50.0 fy 55.0 cx 30.0 cy 20.0 as given" in comments
     assert "comment Depth is relative. Learned by a 3?3 net." in comments
 
 
 def test_intrinsics_not_given_are_a_stated_default():
     fx, fy, cx, cy, _, note, _ = STYLE.camera((375, 1242))
-    assert (fx, cx, cy) == (pytest.approx(721.5377, rel=1e-6), 620.5, 187.0) and fx == fy
-    assert "81.4 degrees by default" in note
+    assert (fx, cx, cy) == (pytest.approx(721.5377, rel=1e-6), 620.5, 187.0) and fx == fy and "81.4 degrees by default" in note
     assert Style("", field_of_view=90).camera((10, 200)).fx == pytest.approx(100)
     assert Style("", focal=33).camera((10, 21))[:4] == (33, 33, 10, 4.5)
 
@@ -79,8 +77,7 @@ def test_intrinsics_not_given_are_a_stated_default():
 def test_near_is_bright_and_far_is_dark():
     depth = np.geomspace(1.6, 1000, 40 * 60, dtype=np.float32).reshape(40, 60)
     drawn = colours_of(depth, colour_ends(depth)).sum(2)
-    assert drawn[0, 0] > 500 > 50 > drawn[-1, -1]
-    assert (np.diff(drawn.ravel().astype(int)) <= 1).all()
+    assert drawn[0, 0] > 500 > 50 > drawn[-1, -1] and (np.diff(drawn.ravel().astype(int)) <= 1).all()
     flat = np.linspace(5, 5.05, 2400, dtype=np.float32).reshape(40, 60)  # constant to 1 %
     assert np.ptp(colours_of(flat, colour_ends(flat)), axis=(0, 1)).max() < 20
 
