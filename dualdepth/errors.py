@@ -53,7 +53,7 @@ def exit_on_input_error() -> Iterator[None]:
         try:
             yield
         finally:
-            if sys.stdout:  # None, too
+            if sys.stdout:  # which is None in a process without one
                 sys.stdout.flush()
     except (InputError, PermissionError) as error:
         denied = isinstance(error, PermissionError)

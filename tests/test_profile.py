@@ -73,7 +73,7 @@ def test_where_the_poses_of_stage_2_are_scored_posenet_goes_on():
 
 
 def test_an_unknown_profile_names_those_there_are_and_a_file_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(InputError, match=r"profile 'papper' not found: choose one of beyond, claims, .*, paper, sample, .*tiny"):
+    with pytest.raises(InputError, match=r"profile 'papper' not found: choose one of attention, beyond, claims, .*, paper, sample, .*tiny"):
         load_profile("papper")
     with pytest.raises(InputError, match=r"profile .*gone\.yaml. not found"):
         load_profile(str(tmp_path / "gone.yaml"))

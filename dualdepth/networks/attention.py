@@ -47,7 +47,7 @@ class SelfAssembledAttention(nn.Module):
     def begin(self, features: Tensor, image: Tensor) -> None:
         """Fix the gain, before the first step, with which f″ of this batch has the root mean square STARTING_RMS.
 
-        To shrink f′ instead would be unstable: a step of Adam is then a seventh of a weight, and f″ is cubic in them.
+        To shrink f′ instead would be unstable: a step of Adam at the paper's rate is then a tenth of a weight, and f″ is cubic in them.
         """
         self.gain.fill_(1.0)
         self.gain.fill_(STARTING_RMS / self(features, image).square().mean().sqrt())
