@@ -37,6 +37,7 @@ def reading(path: str | Path, mend: str) -> Iterator[None]:
     except Exception as error:
         where = getattr(error, "filename", None) or path  # the system says which folder or file may not be touched
         reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"  # of torch it fills a screen
+        mend = "change its permissions" if isinstance(error, PermissionError) else mend
         raise InputError(f"{where}: cannot be read ({' '.join(reason.split())[:200]}); {mend}") from None
 
 

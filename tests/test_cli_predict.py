@@ -1,5 +1,6 @@
 """`dualdepth predict`: from a folder of whatever people have to results that say what they are."""
 
+import io
 import json
 import os
 import shutil
@@ -101,14 +102,30 @@ def test_every_kind_of_photo_becomes_depth_of_its_own_size(photos, run, out, cap
         assert cv2.imread(str(out / f"{name}.colour.png")).shape[0] == 120 and (out / f"{name}.ply").stat().st_size > 60 * 100 * 15
 
 
+def closed(call):
+    """As for who has no permission; root has every one."""
+
+    def refuse(path, *rest, **named):
+        if "in put/closed" in str(path):
+            raise PermissionError(13, "Permission denied", str(path))
+        return call(path, *rest, **named)
+
+    return refuse
+
+
 def test_broken_files_are_named_and_the_others_done(photos, run, capsys, monkeypatch):
     broken = {"a0.png": b"", "b1.jpg": b"no image", "c2.png": (photos / "a.png").read_bytes()[:200], "d3.mp4": b"no video"}
+    broken |= dict.fromkeys(("closed.png", "closed.mp4"), (photos / "a.png").read_bytes())
     for name, content in broken.items():
         (photos / name).write_bytes(content)
-    for counts in ("6 predicted, 5 broken\n", "0 predicted, 6 were there, 5 broken\n"):
-        assert run(photos, photos / "gone") == 1
+    (photos / "closed").mkdir()
+    for name, call in {"io.open": io.open, "numpy.fromfile": np.fromfile, "os.listdir": os.listdir}.items():
+        monkeypatch.setattr(name, closed(call))
+    for counts in ("6 predicted, 8 broken\n", "0 predicted, 6 were there, 8 broken\n"):
+        assert run(photos, photos / "gone", photos / "closed") == 1
         said = capsys.readouterr()
-        assert all(f"broken: {photos / name}: " in said.err for name in ("gone", *broken)) and said.out.endswith(counts)
+        assert all(f"broken: {photos / name}: " in said.err for name in ("gone", "closed", *broken)) and said.out.endswith(counts)
+        assert said.err.count(": cannot be read (Permission denied); change its permissions\n") == 3
     for name in broken:
         (photos / name).unlink()
     shutil.copyfile(photos / "a.png", photos / "a0.png")

@@ -23,7 +23,7 @@ from tqdm import tqdm
 
 from dualdepth.data.frames import Video, is_image, media
 from dualdepth.data.kitti import read_image
-from dualdepth.errors import InputError
+from dualdepth.errors import InputError, reading
 from dualdepth.files import locked, remove_leftovers, write_text
 from dualdepth.inference.results import SIDE_VIDEO, SUFFIXES, Style, colour_ends, picture, save, write_video
 from dualdepth.model import DepthModel
@@ -78,7 +78,8 @@ def find_inputs(given: Iterable[str | Path]) -> list[Given]:
     found: dict[str, Given] = {}
     for word in map(str, given):
         try:
-            found |= {os.path.realpath(path): path for path in _files(word)}
+            with reading(word, "give another one"):
+                found |= {os.path.realpath(path): path for path in _files(word)}
         except InputError as error:
             found[f"broken: {word}"] = error
     if (first := next(iter(found.values()), None)) and not any(isinstance(path, Path) for path in found.values()):
@@ -216,7 +217,8 @@ class Predictor:
     def _video(self, task: Task, pool: Executor) -> None:
         """Predict a video. The files of its first frame are written last, and so say that all are there."""
         try:
-            video = Video(task.path)
+            with reading(task.path, "copy it again"), task.path.open("rb"):  # OpenCV does not say that it may not
+                video = Video(task.path)
             self._check_camera(task, video.size)
         except InputError as error:
             return self.tell(error)
