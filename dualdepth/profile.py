@@ -190,10 +190,17 @@ def _mistake(error: Any) -> str:
 
 
 def _unknown(setting: str) -> str:
-    """That there is no such setting, and the nearest one by its whole name, of which the last word counts twice."""
-    known = {f"{name}.{name.split('.')[-1]}": name for name in _settings(Profile, setting.split(".")[1:2])}
-    near = difflib.get_close_matches(f"{setting}.{setting.split('.')[-1]}", known, n=1, cutoff=0.0)
-    return f"unknown setting {setting}; did you mean {known[near[0]]}?"
+    """That there is no such setting, and the nearest one: its last word is the same, or alike in the same section, or alike in another.
+    Of a known one whose dots were written, how sections are written."""
+    (section, *entry), last = setting.split(".")[:2], setting.split(".")[-1]
+    known = {name: name.split(".") for name in _settings(Profile, entry) if name.startswith("variants.") == (section == "variants")}
+    if setting in known:
+        return f"{setting}: sections are nested; write {setting.replace('.', ': {')}: …{'}' * setting.count('.')}"
+    for names in ([n for n in known if known[n][-1] == last], [n for n in known if known[n][0] == section], known):
+        if alike := difflib.get_close_matches(last, {known[n][-1] for n in names}, n=1):
+            near = difflib.get_close_matches(setting, [n for n in names if known[n][-1] == alike[0]], n=1, cutoff=0.0)
+            return f"unknown setting {setting}; did you mean {near[0]}?"
+    return f"unknown setting {setting}; docs/settings.md lists all"
 
 
 def _settings(section: type[BaseModel], entry: list[str], above: str = "") -> Iterator[str]:
