@@ -7,7 +7,6 @@ Intrinsics are given (--intrinsics fx,fy,cx,cy or a calibration file), found (--
 The film is cut where it stands still, jumps or misses frames; what can be known to fail before a week of training is said at once.
 """
 
-import argparse
 import json
 import re
 import shutil
@@ -18,6 +17,7 @@ from typing import Any, NamedTuple
 from data_scripts.own import dataset
 from data_scripts.own.camera import MOST_BOARDS, calibrate, camera_of_field, camera_of_file, camera_of_numbers, record, straightener
 from data_scripts.own.checks import examine, hold_out
+from dualdepth.cli import OneLineParser
 from dualdepth.data.camera import Camera
 from dualdepth.data.frames import Footage
 from dualdepth.errors import InputError, exit_on_input_error
@@ -125,7 +125,7 @@ def camera_of(
     Raises:
         InputError: none or several ways are given, the footages have frames of several sizes, or the camera is none.
     """
-    if sum(map(bool, (intrinsics, chessboard, fov))) != 1 or bool(squares) != bool(chessboard):
+    if sum((bool(intrinsics), bool(chessboard), fov is not None)) != 1 or bool(squares) != bool(chessboard):
         ways = "--intrinsics fx,fy,cx,cy (or a calibration file), --chessboard FOLDER_OR_VIDEO --squares 9x6, or --fov DEGREES"
         raise InputError(f"the camera: give one of {ways}, and only one")
     sizes = {footage.path: next(footage.stills()).image.shape[:2] for footage in footages}
@@ -133,10 +133,10 @@ def camera_of(
     for path, other in sizes.items():
         if other != size:
             raise InputError(f"{path}: has {other[1]}×{other[0]} pixels, {footages[0].path} {size[1]}×{size[0]}; make a data set of each")
-    if fov:
+    if fov is not None:
         return camera_of_field(fov, size)
     if intrinsics:
-        numbers = "," in intrinsics and not Path(intrinsics).exists()
+        numbers = re.search(r",|^[-+\d.e\s]+$", intrinsics) and not Path(intrinsics).exists()
         return camera_of_numbers(intrinsics, size) if numbers else camera_of_file(intrinsics, size)
     match = re.fullmatch(r"(\d{1,2})[x×](\d{1,2})", squares)
     if not match:
@@ -167,12 +167,13 @@ def summary(made: Made) -> str:
 
 def main(argv: list[str] | None = None) -> None:
     """Run the command line."""
-    parser = argparse.ArgumentParser(description="Make a data set of your own camera that the notebooks train on.")
+    description = "Make a data set of your own camera that the notebooks train on."
+    parser = OneLineParser(prog="python data_scripts/own_camera.py", description=description)
     add = parser.add_argument
     add("inputs", nargs="+", metavar="INPUT", help="folder of frames, or video; several of one camera are drives of one data set")
     add("--out", required=True, metavar="DIR", help="folder to make; it is the KITTI_ROOT of the training")
-    kinds = "in pixels of the frames, or of the size behind them, FX,FY,CX,CY,W,H; or a file: JSON with fx, fy, cx, cy (and width, height, "
-    kinds += "distortion), another data set's own.json, KITTI's own"
+    kinds = "in pixels of the frames, or of the size behind them, FX,FY,CX,CY,W,H, with commas or blanks; or a file: JSON with fx, fy, cx, "
+    kinds += "cy (and width, height, distortion), another data set's own.json, KITTI's own"
     add("--intrinsics", default="", metavar="FX,FY,CX,CY", help=kinds)
     add("--chessboard", default="", metavar="PATH", help="folder or video of a chessboard seen from all sides, same camera mode")
     add("--squares", default="", metavar="9x6", help="the chessboard's squares, or inner corners, along and across")

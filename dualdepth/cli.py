@@ -1,10 +1,12 @@
 """The command `dualdepth`: what each subcommand takes, and the functions that it calls; what is slow to import is imported when called."""
 
 import argparse
+import itertools
 import json
 import math
+import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, NoReturn
@@ -24,6 +26,7 @@ EXAMPLES = {
     "dualdepth train": ["dualdepth train --profile tiny", "dualdepth train --profile paper --variant dual --seed 1"],
     "dualdepth notebook": ["dualdepth notebook 03_train_lr --out 03.ipynb --set profile=tiny seed=1"],
     "dualdepth predict": ["dualdepth predict photo.jpg --out depth", "dualdepth predict photo.jpg --save colour,ply --fov 60 --out depth"],
+    "python data_scripts/own_camera.py": ["python data_scripts/own_camera.py drive.mp4 --out /data/own --fov 80"],
     "dualdepth export": ["dualdepth export --to onnx --weights work/miniature/runs/dual/seed0/model.safetensors --out depth.onnx"],
 }
 """What a `--help` ends with; `tests/test_docs.py` runs or parses each."""
@@ -32,6 +35,16 @@ PROFILE = "such as tiny, sample or paper, or a YAML file (default: %(default)s)"
 
 class OneLineParser(argparse.ArgumentParser):
     """An argument parser whose error is one line, without the usage before it, and whose help ends with examples."""
+
+    def parse_args(self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None) -> argparse.Namespace:
+        """The same; the numbers of `--intrinsics`, four or, with a size, six, may be words of their own instead of one word."""
+        words = [*(sys.argv[1:] if args is None else args)]
+        at = words.index("--intrinsics") + 1 if "--intrinsics" in words else len(words)
+        count = len([*itertools.takewhile(re.compile(r"[-+]?\.?\d[-+.\de]*").fullmatch, words[at : at + 6])])
+        count -= count == 5  # an input whose name is a number
+        if count > 1:
+            words[at - 1 : at + count] = [f"--intrinsics={','.join(words[at : at + count])}"]
+        return super().parse_args(words, namespace)
 
     def format_help(self) -> str:
         """The help, and each example on a line."""
@@ -128,8 +141,7 @@ def _add_predict(place: Any) -> None:
     parser.add_argument("--batch-size", type=_number(int), metavar="N", help="images at a time (default: 16 on a GPU or what fits, else 1)")
     parser.add_argument("--scale", type=_number(float), default=1.0, help="what depth is multiplied by, such as metres per unit")
     camera = parser.add_mutually_exclusive_group()
-    finite = _number(float, -math.inf)
-    camera.add_argument("--intrinsics", type=finite, nargs=4, metavar=("FX", "FY", "CX", "CY"), help="in pixels of the input, for ply")
+    camera.add_argument("--intrinsics", type=intrinsics, metavar="FX,FY,CX,CY", help="pixels of the input, with commas or blanks, for ply")
     camera.add_argument("--focal", type=_number(float), metavar="PX", help="focal length in pixels of the input, for ply")
     camera.add_argument("--fov", type=_number(float, below=180), metavar="DEG", help="across the image, for ply (default: KITTI's 81.4)")
     parser.add_argument("--overwrite", action="store_true", help="make results again that would be kept")
@@ -168,6 +180,14 @@ def _number(kind: type, above: float = 0, below: float = math.inf) -> Callable[[
 
     number.__name__ = "whole number" if kind is int else "number"
     return number
+
+
+def intrinsics(text: str) -> tuple[float, ...]:
+    """The type of an option that is the focal lengths and the principal point, with commas or blanks between them."""
+    numbers = tuple(map(_number(float, -math.inf), text.replace(",", " ").split()))
+    if len(numbers) != 4 or min(numbers[:2]) <= 0:
+        raise argparse.ArgumentTypeError(f"{text} must be FX,FY,CX,CY, of which the focal lengths FX and FY are above 0")
+    return numbers
 
 
 def _evaluate_depth(arguments: argparse.Namespace) -> None:
@@ -282,8 +302,6 @@ def _predict(arguments: argparse.Namespace) -> int:
 
     if "" in (*arguments.inputs, arguments.out, arguments.weights):
         raise InputError("INPUT, --out or --weights is an empty word ''; give a file or a folder, '.' for the current one")
-    if arguments.intrinsics and min(arguments.intrinsics[:2]) <= 0:
-        raise InputError(f"--intrinsics {arguments.intrinsics}: the focal lengths must be positive")
     kinds = tuple(dict.fromkeys(SUFFIXES if arguments.save == "all" else arguments.save.split(",") if arguments.save else ()))
     if unknown := [kind for kind in kinds if kind not in SUFFIXES]:
         raise InputError(f"--save {unknown[0]!r} is unknown: choose some of {', '.join(SUFFIXES)}, with commas, or all")
@@ -293,7 +311,7 @@ def _predict(arguments: argparse.Namespace) -> int:
     check_writable(arguments.out)
     if arguments.weights and RELEASED not in (Path(arguments.weights), Path(arguments.weights).parent):  # for which `load` has printed it
         print(f"{arguments.weights}: {model.about}", flush=True)
-    style = Style(model.about, arguments.scale, arguments.intrinsics and tuple(arguments.intrinsics), arguments.focal, arguments.fov)
+    style = Style(model.about, arguments.scale, arguments.intrinsics, arguments.focal, arguments.fov)
     options = {"kinds": kinds, "batch_size": arguments.batch_size, "overwrite": arguments.overwrite}
     return int(not predict_files(paths, Path(arguments.out), model, style, **options))
 

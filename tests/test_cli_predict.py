@@ -172,8 +172,9 @@ def test_a_scale_is_applied_to_all_and_said_and_batches_give_what_single_images_
         assert f"value / 256 = relative depth{unit};" in image.text["Description"]
 
 
-def test_a_principal_point_outside_of_a_picture_is_refused_for_that_picture(photos, clip, run, capsys):
-    assert run(photos, clip, "--save", "ply", "--intrinsics", 90, 90, 80, 45) == 1
+@pytest.mark.parametrize("numbers", [(90, 90, 80, 45), ("90,90,80,45",), ("90 90 80 45",)], ids=str)
+def test_a_principal_point_outside_of_a_picture_is_refused_for_that_picture(photos, clip, run, capsys, numbers):
+    assert run("--save", "ply", "--intrinsics", *numbers, photos, clip) == 1
     said = capsys.readouterr()
     assert (
         f"broken: {photos}/e turned.jpg: 60x100 pixels do not hold the point CX 80 CY 45" in said.err
@@ -244,9 +245,10 @@ NUMBERS = {"--scale": ("0", "nan", "inf"), "--focal": ("0", "nan", "inf"), "--fo
         (["{photos}", "--weights", "gone"], "gone: no such weights; give "),  # the hub, whose names are owner/name, is not asked
         (["{photos}", "--save", "colour,gif"], "'gif'"),
         *((["{photos}", option, value], f"{option}: {value} must be") for option, wrong in NUMBERS.items() for value in wrong),
-        (["{photos}", "--intrinsics", "1", "0", "5", "5"], "--intrinsics [1.0, 0.0, 5.0, 5.0]: the focal lengths"),
+        (["{photos}", "--intrinsics", "1", "0", "5", "5"], "--intrinsics: 1,0,5,5 must be FX,FY,CX,CY, of which the focal lengths"),
+        *((["{photos}", "--intrinsics", *wrong], "must be FX,FY,CX,CY") for wrong in (["1,1,5"], ["1", "1", "5"], ["1 1 5 5 9"])),
         *((["{photos}", *words, ""], "an empty word ''") for words in ([], ["--out"], ["--weights"])),
-        (["{photos}", "--intrinsics", "1", "1", "inf", "5"], "--intrinsics: inf must be"),
+        (["{photos}", "--intrinsics", "1,1,inf,5"], "--intrinsics: inf must be"),
         (["{photos}", "--device", "tpu"], "'tpu'"),
         (["{photos}", "--out", "{photos}/a.png"], "a.png: "),
     ],

@@ -39,9 +39,10 @@ def camera_of_numbers(text: str, size: tuple[int, int]) -> Camera:
         InputError: no four or six finite numbers, or numbers of frames of another size or shape.
     """
     with reading(f"--intrinsics {text!r}", "give fx,fy,cx,cy in pixels, such as 1000,1000,959.5,539.5, or a calibration file"):
-        fx, fy, cx, cy, width, height = map(float, text.split(",") + [*size[::-1]] * (text.count(",") == 3))
+        numbers = text.replace(",", " ").split()
+        fx, fy, cx, cy, width, height = map(float, numbers + [*size[::-1]] * (len(numbers) == 4))
     camera = Camera(fx, fy, cx, cy, (height, width), "given as numbers")
-    return validate(scaled(camera, size, f"--intrinsics {text!r}"), "--intrinsics", told=text.count(",") > 3)
+    return validate(scaled(camera, size, f"--intrinsics {text!r}"), "--intrinsics", told=len(numbers) > 4)
 
 
 def scaled(camera: Camera, size: tuple[int, int], what: str) -> Camera:

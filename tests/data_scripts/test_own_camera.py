@@ -57,6 +57,20 @@ def test_the_chain_reads_it_as_it_reads_kitti_but_has_no_truth(folder, tmp_path,
             prepare_data.find_data(run, root)
 
 
+@pytest.mark.parametrize(
+    "words", [["205 205 127.5 107.5"], ["205", "205", "127.5", "107.5"], ["410", "410", "255.5", "215.5", "512", "432"]]
+)
+def test_intrinsics_are_numbers_with_commas_or_blanks(folder, tmp_path, words):
+    own_camera.main(["--out", str(tmp_path / "out"), "--intrinsics", *words, str(folder)])
+    assert np.allclose(intrinsics(tmp_path / "out", dataset.DATE), [[205, 0, 127.5], [0, 205, 107.5], [0, 0, 1]])
+
+
+def test_help_ends_with_an_example(capsys):
+    with pytest.raises(SystemExit, match="0"):
+        own_camera.main(["--help"])
+    assert "examples:\n  python data_scripts/own_camera.py drive.mp4 --out" in capsys.readouterr().out
+
+
 def test_a_video_becomes_jpeg_frames_with_an_estimate_that_is_said_to_be_one(tmp_path, capsys):
     video = write_video(tmp_path / "film.mp4", [frame(k) for k in range(40)])
     own_camera.main([str(video), "--out", str(tmp_path / "out"), "--fov", "64", "--held-out", "6"])
@@ -118,6 +132,8 @@ def test_a_failed_check_is_one_line_and_anyway_makes_it_all_the_same(tmp_path, c
         ({"fov": 64, "squares": "9x6"}, "give one of"),
         ({"intrinsics": "no.txt"}, r"no\.txt: no such file"),
         ({"fov": 64, "stride": 0}, "--stride 0"),
+        ({"fov": 0}, "--fov 0: give the horizontal field of view in degrees"),
+        ({"fov": 0, **GIVEN}, "give one of"),
         ({"chessboard": "film", "squares": "nine"}, "--squares 'nine'"),
         ({"fov": 64, "name": "a/b"}, "--name 'a/b'"),
     ],
