@@ -19,7 +19,7 @@ from data_scripts.own.camera import MOST_BOARDS, calibrate, camera_of_field, cam
 from data_scripts.own.checks import examine, hold_out
 from dualdepth.cli import OneLineParser
 from dualdepth.data.camera import Camera
-from dualdepth.data.frames import Footage
+from dualdepth.data.frames import Footage, is_image
 from dualdepth.errors import InputError, exit_on_input_error
 from dualdepth.files import file_digest, locked, short_digest, write_json, write_text
 
@@ -53,7 +53,7 @@ def make(
     for option, value in (("stride", stride), ("held-out", held_out)):
         if value is not None and value < 1:
             raise InputError(f"--{option} {value}: give a whole number from 1 up")
-    out, footages = Path(out).absolute(), [Footage(path) for path in inputs]
+    out, footages = Path(out).absolute(), [footage_of(path) for path in inputs]
     options = {"stride": stride, "held_out": held_out, "name": name, "anyway": anyway}
     digest = short_digest(*(f.digest() for f in footages), json.dumps([_by_content(given), options]))
     partial = out.with_name(f".{out.name}.part")
@@ -77,10 +77,17 @@ def make(
     return Made(out, out / f"{name}.yaml", said, kept=False)
 
 
+def footage_of(path: str | Path) -> Footage:
+    """A folder of frames or a video; an `InputError` says that it is one photo, or what else it is."""
+    if Path(path).is_file() and is_image(Path(path)):
+        raise InputError(f"{path}: this is one photo; give a film, or the folder that its frames lie in")
+    return Footage(path)
+
+
 def _by_content(given: dict[str, Any]) -> list[Any]:
     """The camera's options, a file or chessboard by its content: one that was moved is the same one."""
     board, numbers = given.get("chessboard"), given.get("intrinsics", "")
-    return [Footage(board).digest() if board else "", file_digest(Path(numbers)) or numbers, given.get("squares"), given.get("fov")]
+    return [footage_of(board).digest() if board else "", file_digest(Path(numbers)) or numbers, given.get("squares"), given.get("fov")]
 
 
 def write(
@@ -141,7 +148,7 @@ def camera_of(
     match = re.fullmatch(r"(\d{1,2})[x×](\d{1,2})", squares)
     if not match:
         raise InputError(f"--squares {squares!r}: give the board's squares, or inner corners, along and across, such as 9x6")
-    board = Footage(chessboard)
+    board = footage_of(chessboard)
     every = max(1, board.length // MOST_BOARDS)
     views = ((f"{still.file or board.path}, frame {still.number}", still.image) for still in board.stills(range(0, 10**9, every)))
     return calibrate(views, (int(match[1]), int(match[2])), size, f"chessboard {board.path}")

@@ -134,6 +134,7 @@ def test_a_failed_check_is_one_line_and_anyway_makes_it_all_the_same(tmp_path, c
         ({"fov": 64, "stride": 0}, "--stride 0"),
         ({"fov": 0}, "--fov 0: give the horizontal field of view in degrees"),
         ({"fov": 0, **GIVEN}, "give one of"),
+        ({"chessboard": "film/000000.png", "squares": "9x6"}, "film/000000.png: this is one photo; give a film"),
         ({"chessboard": "film", "squares": "nine"}, "--squares 'nine'"),
         ({"fov": 64, "name": "a/b"}, "--name 'a/b'"),
     ],
@@ -143,6 +144,11 @@ def test_options_that_do_not_fit_are_refused_with_what_to_do(folder, tmp_path, m
     with pytest.raises(InputError, match=said):
         own_camera.make([folder], "out", **options)
     assert not (tmp_path / "out").exists()
+
+
+def test_one_photo_is_said_to_be_one(folder, tmp_path):
+    with pytest.raises(InputError, match=r"film/000000\.png: this is one photo; give a film, or the folder that its frames lie in"):
+        own_camera.make([folder / "000000.png"], tmp_path / "out", **GIVEN)
 
 
 def test_of_too_many_held_out_frames_half_of_the_film_is_and_films_of_two_sizes_are_refused(folder, tmp_path):
