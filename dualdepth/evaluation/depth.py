@@ -104,8 +104,8 @@ def valid_pixels(prediction: np.ndarray, ground_truth: np.ndarray, protocol: Pro
         raise InputError(f"shapes {prediction.shape} and {ground_truth.shape}; expected (height, width) for both")
     lowest, highest = prediction.min(), prediction.max()
     # below the smallest normal number the inverse overflows; resized as disparity, 0 is as far as depth is clamped to, as in monodepth2
-    if not (0 if protocol.kind == protocol.resize == "disparity" else 1.2e-38) <= lowest <= highest < math.inf:
-        mend = "finite and above 0" + ", or 0 with --resize disparity" * (protocol.kind == "disparity")
+    if not ((0 if protocol.kind == protocol.resize == "disparity" else 1.2e-38) <= lowest and 1.2e-38 <= highest < math.inf):
+        mend = "finite and above 0" + ", or 0 in some pixels with --resize disparity" * (protocol.kind == "disparity")
         raise InputError(f"the {protocol.kind} goes from {lowest:g} to {highest:g}; predictions must be {mend}")
 
     # compared in the ground truth's own precision: a float32 0.001 is not above 0.001

@@ -102,8 +102,9 @@ def test_disparity_0_is_the_largest_depth_as_in_monodepth2_where_disparity_is_re
     disparity[0, 0, 0], truth[0, 0] = 0, 70
     scores = summary(evaluate(disparity, [truth], kind="disparity", resize="disparity", crop="none"))
     assert scores["rmse"] == pytest.approx(10 / 9) and scores["scale_ratio_median"] == pytest.approx(1)
-    with pytest.raises(InputError, match="or 0 with --resize disparity"):
-        evaluate(disparity, [truth], kind="disparity")
+    for wrong, resize in ((0 * disparity, "disparity"), (disparity, "depth")):
+        with pytest.raises(InputError, match=r"P: image 0: the disparity goes from 0 to .*, or 0 in some pixels with --resize disparity"):
+            evaluate(wrong, [truth], name="P", kind="disparity", resize=resize)
 
 
 @pytest.mark.parametrize("bad, says", [(np.nan, "to nan"), (np.inf, "to inf"), (0.0, "from 0 to"), (-2.0, "from -2 to")])
