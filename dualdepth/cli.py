@@ -282,11 +282,17 @@ def _notebook(arguments: argparse.Namespace) -> None:
 
 def _train(arguments: argparse.Namespace) -> None:
     """Train one variant of a profile, or go on with it, and say where the weights are."""
+    from dualdepth.training.checkpoints import checkpoint_paths
     from dualdepth.training.variants import train_variant
 
     if not 0 <= arguments.seed < 2**32:
         raise InputError(f"--seed {arguments.seed}: give a whole number from 0 to 4294967295")
-    weights = train_variant(Run(arguments.profile), arguments.variant, arguments.seed)
+    run = Run(arguments.profile)
+    try:
+        weights = train_variant(run, arguments.variant, arguments.seed)
+    except KeyboardInterrupt:
+        kept = checkpoint_paths(run.training(arguments.variant, arguments.seed))
+        raise KeyboardInterrupt("" if kept else "no checkpoint is written yet, so the same command begins again") from None
     if is_main_process():
         print(weights)
 

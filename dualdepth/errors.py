@@ -61,8 +61,8 @@ def exit_on_input_error() -> Iterator[None]:
         said = f"{error.filename}: {error.strerror}; change its permissions, or give another place" if denied else str(error)
         print(f"error: {' '.join(said.split())}", file=sys.stderr)
         raise SystemExit(2) from None
-    except KeyboardInterrupt:
-        print("stopped; the same command goes on where it was", file=sys.stderr)
+    except KeyboardInterrupt as stop:
+        print(f"stopped; {str(stop) or 'the same command goes on where it was'}", file=sys.stderr)
         raise SystemExit(130) from None
     except OSError as error:
         if error.filename or error.errno not in (errno.EPIPE, errno.ENOSPC):

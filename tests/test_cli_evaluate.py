@@ -232,8 +232,12 @@ def test_scores_need_no_torch():
     assert done.returncode == 0 and done.stderr == "", done.stderr
 
 
-def test_ctrl_c_is_one_line_that_says_how_to_go_on(monkeypatch, capsys):
-    monkeypatch.setattr("dualdepth.cli._train", Mock(side_effect=KeyboardInterrupt, __doc__=""))
+@pytest.mark.parametrize(("kept", "said"), [(["checkpoint"], "goes on where it was"), ([], "begins again")])
+def test_ctrl_c_is_one_line_that_says_how_to_go_on(monkeypatch, capsys, kept, said):
+    monkeypatch.setattr("dualdepth.cli.Run", Mock())
+    monkeypatch.setattr("dualdepth.training.variants.train_variant", Mock(side_effect=KeyboardInterrupt))
+    monkeypatch.setattr("dualdepth.training.checkpoints.checkpoint_paths", lambda _: kept)
     with pytest.raises(SystemExit, match="130"):
         main(["train"])
-    assert capsys.readouterr().err == "stopped; the same command goes on where it was\n"
+    why = "" if kept else "no checkpoint is written yet, so "
+    assert capsys.readouterr().err == f"stopped; {why}the same command {said}\n"
