@@ -206,10 +206,7 @@ load = DepthModel.from_pretrained
 
 def load_pose_net(weights: str | Path, device: str | torch.device = "cpu") -> tuple[PoseNet | EncoderPoseNet, tuple[int, int]]:
     """The PoseNet of a training, in eval mode, and (height, width) that frames are resized to; it sees a third of it.
-
-    Raises:
-        InputError: the weights or their card cannot be read or do not fit.
-    """
+    An `InputError` says that the weights or their card cannot be read or do not fit."""
     card = _of_card(load_card(weights), Path(weights).with_suffix(".json"))
     net = make_pose_net(card.pose_encoder)
     load_weights(weights, net, prefix="pose_net.")

@@ -65,11 +65,8 @@ def parse_parameters(pairs: Sequence[str]) -> dict[str, int | str]:
 def run_notebook(name: str, out: str | Path, parameters: dict[str, Any]) -> Path:
     """Execute `notebooks/<name>.ipynb` and write the executed copy to `out`.
 
-    A failing notebook leaves its copy, up to the failing cell, as `<out>.failed.ipynb`.
-
-    Raises:
-        InputError: no such notebook, a parameter that it does not have, or an `InputError` inside it; or its kernel died.
-        RuntimeError: any other error inside it.
+    A failing notebook leaves its copy, up to the failing cell, as `<out>.failed.ipynb`. An `InputError` says that there is no such
+    notebook or parameter, what an `InputError` inside it said, or that its kernel died; any other error inside it is a `RuntimeError`.
     """
     import papermill
     from ipykernel.kernelspec import get_kernel_dict

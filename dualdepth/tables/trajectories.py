@@ -59,11 +59,7 @@ def true_trajectory(run: Run, entry: str) -> Trajectory:
 
 def predicted_motions(training: Trained, entry: str, refine: bool = False) -> np.ndarray:
     """PoseNet's motions (N − 2, 2, 4, 4) along a test sequence, or refined ones (`refinement`); kept beside the weights and reused while
-    they fit.
-
-    Raises:
-        InputError: the weights are missing, or were trained on the sequence.
-    """
+    they fit. An `InputError` says that the weights are missing, or were trained on the sequence."""
     training.check(drives_of([entry], world=training.run.profile.world is not None))
     files = list(sequence_frames(training.run, entry).values())
     frames = [[str(f.resolve()), f.stat().st_size, f.stat().st_mtime_ns] for f in files]
@@ -99,11 +95,8 @@ def follow_control(run: Run, name: str, entry: str) -> pd.DataFrame:
 
 
 def control_poses(run: Run, name: str, truth: Trajectory) -> np.ndarray:
-    """Trajectory (N, 4, 4) of one of `CONTROLS` along a test sequence.
-
-    Raises:
-        InputError: no training sequence has true poses, from which the constant velocity is taken.
-    """
+    """Trajectory (N, 4, 4) of one of `CONTROLS` along a test sequence. An `InputError` says that no training sequence has true
+    poses, from which the constant velocity is taken."""
     if name == "straight":
         return constant_velocity(len(truth.frames), np.array([0.0, 0.0, 1.0]))
     if name == "inverted":

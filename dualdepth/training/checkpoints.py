@@ -23,10 +23,7 @@ def checkpoint_paths(folder: str | Path) -> list[Path]:
 
 def save_checkpoint(folder: str | Path, state: dict[str, Any], keep: int = 2) -> Path:
     """Write what a resume needs, `KEYS`, atomically: written, flushed, read back, renamed. Then all but the newest `keep` are removed.
-
-    Raises:
-        OSError: it could not be written; the checkpoints before it are untouched.
-    """
+    An `OSError` says that it could not be written; the checkpoints before it are untouched."""
     path = Path(folder) / f"checkpoint_{state['step']:08d}.pt"
     with atomic_path(path) as partial:
         try:
@@ -49,11 +46,8 @@ def _read(path: Path) -> Any:
 
 
 def load_checkpoint(path: str | Path) -> dict[str, Any]:
-    """Read a checkpoint, a dictionary of `KEYS`.
-
-    Raises:
-        InputError: the file is missing, truncated, changed, foreign, or holds anything but tensors and plain values (its code is not run).
-    """
+    """Read a checkpoint, a dictionary of `KEYS`. An `InputError` says that the file is missing, truncated, changed, foreign, or holds
+    anything but tensors and plain values (its code is not run)."""
     with reading(path, "not a checkpoint of this project; delete it to train from the start"):
         state = _read(Path(path))
         if not set(state) >= KEYS - {"precision"}:  # one without is of before it was kept, and so of another recipe
@@ -63,10 +57,7 @@ def load_checkpoint(path: str | Path) -> dict[str, Any]:
 
 def last_checkpoint(folder: str | Path, say: Callable[[str], object] = print) -> dict[str, Any] | None:
     """The newest checkpoint of a folder that can be read; None where there is none. `say` is told of damaged ones.
-
-    Raises:
-        InputError: there are some, and none can be read.
-    """
+    An `InputError` says that there are some, and none can be read."""
     damage = None
     for path in checkpoint_paths(folder):
         try:

@@ -143,10 +143,8 @@ class Trainer:
     def run(self, card: dict[str, Any]) -> Path:
         """Train to the end and write the weights; `card` is what theirs says, beside the training's own facts.
 
-        Raises:
-            InputError: a bad image, weights that cannot be written, or a loss, pose or gradient that is not finite (with the names of the
-                batch).
-            SystemExit: SIGTERM came; a checkpoint was written first.
+        An `InputError` names a bad image, weights that cannot be written, or the batch of a loss, pose or gradient that is not finite. On
+        SIGTERM a checkpoint is written, and then comes `SystemExit`.
         """
         accelerator = self.accelerator
         shares = {"accumulate": self.settings.accumulate, "processes": accelerator.num_processes, "rank": accelerator.process_index}

@@ -28,10 +28,8 @@ def train_variant(run: Run, name: str, seed: int) -> Path:
     """Train a variant, or go on with it, or find it done; returns its weights.
 
     Nothing else trains the same variant and seed meanwhile; of several processes that train together the first holds the lock.
-
-    Raises:
-        InputError: an unknown variant; prepared data or stage 1's weights are missing, or those are of another network; too few
-            triplets; a bad frame; a live process trains the same.
+    An `InputError` says that the variant is unknown, that prepared data or stage 1's weights are missing or of another network, that there
+    are too few triplets or a bad frame, or that a live process trains the same.
     """
     keep_freed_memory()
     variant, profile = run.profile.variant(name), run.profile.of_variant(name)
@@ -73,11 +71,8 @@ def train_variant(run: Run, name: str, seed: int) -> Path:
 
 
 def training_data(run: Run, name: str) -> tuple[list[Triplet], list[str]]:
-    """Prepared triplets of a variant, and the drives that they are of.
-
-    Raises:
-        InputError: they are not prepared, or there are no odometry sequences.
-    """
+    """Prepared triplets of a variant, and the drives that they are of. An `InputError` says that they are not prepared, or that
+    there are no odometry sequences."""
     sources, odometry = Sources.load(run), run.profile.variant(name).trains_on == "odometry"
     if odometry and sources.odometry_root is None:
         raise InputError(f"variant {name} needs ODOMETRY_ROOT; get it with python data_scripts/download_kitti.py --root DIR --odometry")
@@ -88,11 +83,8 @@ def training_data(run: Run, name: str) -> tuple[list[Triplet], list[str]]:
 
 
 def start_weights(run: Run, name: str, seed: int) -> Path | None:
-    """Weights of stage 1 that a variant starts from, None where it starts from nothing.
-
-    Raises:
-        InputError: they are not there, their card is incomplete, or they are of another network, backbone or size.
-    """
+    """Weights of stage 1 that a variant starts from, None where it starts from nothing. An `InputError` says that they are not there,
+    that their card is incomplete, or that they are of another network, backbone or size."""
     first, profile = run.profile.variant(name).starts_from, run.profile.of_variant(name)
     if first is None:
         return None
@@ -109,10 +101,7 @@ def start_weights(run: Run, name: str, seed: int) -> Path | None:
 
 def make_stage(profile: Profile, name: str, start: Path | None = None) -> Stage:
     """The stage that a variant trains, with stage 1's LR-Net and PoseNet in it where it starts from them.
-
-    Raises:
-        InputError: the weights are damaged or of another network.
-    """
+    An `InputError` says that the weights are damaged or of another network."""
     variant, training = profile.variant(name), profile.of_variant(name).training
     # a dual network's LR-Net has the weights of `start`: only a first training begins with ImageNet's
     depth_net = profile.architecture(name).build(training.pretrained if variant.network in ("lr", "single") else False)
