@@ -23,10 +23,7 @@ def arc(count, turn, step):
     """Poses on a circle: `turn` radians and `step` metres a frame."""
     c, s = np.cos(turn), np.sin(turn)
     move = np.array([[c, 0, s, 0], [0, 1, 0, 0], [-s, 0, c, step], [0, 0, 0, 1]])
-    poses = [np.eye(4)]
-    for _ in range(count - 1):
-        poses.append(poses[-1] @ move)
-    return np.stack(poses)
+    return np.stack([np.linalg.matrix_power(move, frame) for frame in range(count)])
 
 
 @pytest.fixture(autouse=True)

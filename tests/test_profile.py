@@ -123,7 +123,6 @@ BAD_SETTINGS = [
     ("training: {lr: {epoch: 3}}\n", "unknown setting training.lr.epoch; did you mean training.lr.epochs"),
     ("training: {batch_size: 1}\n", "unknown setting training.batch_size; did you mean training.lr.batch_size"),
     ("training: {weight_decay: 1}\n", "unknown setting training.weight_decay; docs/settings.md lists all"),
-    ("training: {loss: {feture: 1}}\n", "unknown setting training.loss.feture; did you mean training.loss.feature"),
     ("training: {hr_size: [192, 288]}\n", "unknown setting training.hr_size; did you mean data.hr_size"),
     ("training.lr.epochs: 5\n", "training.lr.epochs: sections are nested; write training: {lr: {epochs: …}}"),
     ("training: {lr.epochs: 5}\n", "training.lr.epochs: sections are nested; write training: {lr: {epochs: …}}"),

@@ -101,11 +101,8 @@ def test_a_line_is_the_3x4_matrix_or_the_4x4_one_row_by_row(tmp_path):
     (tmp_path / "a.txt").write_text("0 -1 0 5 1 0 0 6 0 0 1 7\n\n1.0e+00 0 0 1 0 1 0 2 0 0 1 -3.5\r\n\n")
     read = read_trajectory(tmp_path / "a.txt")
     assert read.frames.tolist() == [0, 1] and not read.indexed and read.poses.dtype == np.float64
-    assert read.poses[0].tolist() == [[0, -1, 0, 5], [1, 0, 0, 6], [0, 0, 1, 7], [0, 0, 0, 1]] and read.poses[1, :3, 3].tolist() == [
-        1,
-        2,
-        -3.5,
-    ]
+    assert read.poses[0].tolist() == [[0, -1, 0, 5], [1, 0, 0, 6], [0, 0, 1, 7], [0, 0, 0, 1]]
+    assert read.poses[1, :3, 3].tolist() == [1, 2, -3.5]
     for frame in ("", "7 "):
         (tmp_path / "a.txt").write_text(f"{frame}0 -1 0 5 1 0 0 6 0 0 1 7 1e-9 0 0 1.0000001")
         whole = read_trajectory(tmp_path / "a.txt")
@@ -116,9 +113,8 @@ def test_a_line_is_the_3x4_matrix_or_the_4x4_one_row_by_row(tmp_path):
 def test_a_13th_number_in_front_is_the_frame(tmp_path, numbers):
     (tmp_path / "a.txt").write_text("".join(f"{n} 1 0 0 {i} 0 1 0 0 0 0 1 0\n" for i, n in enumerate(numbers)))
     read = read_trajectory(tmp_path / "a.txt")
-    assert (
-        read.indexed and read.frames.tolist() == [2, 3, 70] and read.frames.dtype.kind == "i" and read.poses[:, 0, 3].tolist() == [0, 1, 2]
-    )
+    assert read.indexed and read.frames.tolist() == [2, 3, 70] and read.frames.dtype.kind == "i"
+    assert read.poses[:, 0, 3].tolist() == [0, 1, 2]
 
 
 def test_what_is_written_is_read_without_loss_and_what_cannot_be_is_named(tmp_path):

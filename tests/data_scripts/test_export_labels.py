@@ -42,12 +42,9 @@ def kitti(tmp_path, monkeypatch, kitti_root):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(huggingface_hub.constants, "HF_HUB_OFFLINE", True)
     write_drive(kitti_root, range(2), OTHER, size=(150, 260), suffix=".jpg")
-    write_list((DRIVE, 3), (DRIVE, 0), (OTHER, 1), (DRIVE, 1))
-    save(segformer())
-
-
-def write_list(*frames):
+    frames = ((DRIVE, 3), (DRIVE, 0), (OTHER, 1), (DRIVE, 1))
     Path("list.txt").write_text("".join(f"{drive} {index:010d} l\n" for drive, index in frames))
+    save(segformer())
 
 
 def run(*arguments):

@@ -57,12 +57,10 @@ def test_the_chain_reads_it_as_it_reads_kitti_but_has_no_truth(folder, tmp_path,
             prepare_data.find_data(run, root)
 
 
-@pytest.mark.parametrize(
-    "words", [["205 205 127.5 107.5"], ["205", "205", "127.5", "107.5"], ["410", "410", "255.5", "215.5", "512", "432"]]
-)
+@pytest.mark.parametrize("words", [["205 205 127 107"], ["205", "205", "127", "107"], ["410", "410", "254.5", "214.5", "512", "432"]])
 def test_intrinsics_are_numbers_with_commas_or_blanks(folder, tmp_path, words):
     own_camera.main(["--out", str(tmp_path / "out"), "--intrinsics", *words, str(folder)])
-    assert np.allclose(intrinsics(tmp_path / "out", dataset.DATE), [[205, 0, 127.5], [0, 205, 107.5], [0, 0, 1]])
+    assert np.allclose(intrinsics(tmp_path / "out", dataset.DATE), [[205, 0, 127], [0, 205, 107], [0, 0, 1]])
 
 
 def test_help_ends_with_an_example(capsys):
@@ -132,7 +130,7 @@ def test_a_failed_check_is_one_line_and_anyway_makes_it_all_the_same(tmp_path, c
         ({"fov": 64, "squares": "9x6"}, "give one of"),
         ({"intrinsics": "no.txt"}, r"no\.txt: no such file"),
         ({"fov": 64, "stride": 0}, "--stride 0"),
-        ({"fov": 0}, "--fov 0: give the horizontal field of view in degrees"),
+        *(({"fov": degrees}, f"--fov {degrees}: give .* degrees, 20 to 150") for degrees in (0, 0.5, 151, float("nan"))),
         ({"fov": 0, **GIVEN}, "give one of"),
         ({"chessboard": "film/000000.png", "squares": "9x6"}, "film/000000.png: this is one photo; give a film"),
         ({"chessboard": "film", "squares": "nine"}, "--squares 'nine'"),
@@ -146,16 +144,13 @@ def test_options_that_do_not_fit_are_refused_with_what_to_do(folder, tmp_path, m
     assert not (tmp_path / "out").exists()
 
 
-def test_one_photo_is_said_to_be_one(folder, tmp_path):
-    with pytest.raises(InputError, match=r"film/000000\.png: this is one photo; give a film, or the folder that its frames lie in"):
-        own_camera.make([folder / "000000.png"], tmp_path / "out", **GIVEN)
-
-
-def test_of_too_many_held_out_frames_half_of_the_film_is_and_films_of_two_sizes_are_refused(folder, tmp_path):
+def test_of_too_many_held_out_frames_half_of_the_film_is_and_films_of_two_sizes_or_a_photo_are_refused(folder, tmp_path):
     assert own_camera.make([folder], tmp_path / "out", fov=64, held_out=400, stride=1).record["drives"][-1]["frames"] == 18
     other = write_frames(tmp_path / "other", [frame(k, size=(432, 512)) for k in range(3)])
     with pytest.raises(InputError, match=r"other: has 512×432 pixels, .*film 256×216"):
         own_camera.make([folder, other], tmp_path / "both", **GIVEN)
+    with pytest.raises(InputError, match=r"film/000000\.png: this is one photo; give a film, or the folder that its frames lie in"):
+        own_camera.make([folder / "000000.png"], tmp_path / "both", **GIVEN)
 
 
 def test_sequence_06_of_real_kitti_becomes_a_data_set(real, tmp_path):

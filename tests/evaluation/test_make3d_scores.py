@@ -51,9 +51,7 @@ def test_scores_equal_a_slow_reference(convention, size):
     assert row.to_dict() == pytest.approx(slow(prediction, grid, convention))
 
 
-@pytest.mark.parametrize(
-    ("size", "rows"), [((2272, 1704), (710, 1562)), ((568, 426), (177, 390)), ((140, 105), (44, 96)), ((50, 100), (0, 50))]
-)
+@pytest.mark.parametrize(("size", "rows"), [((2272, 1704), (710, 1562)), ((140, 105), (44, 96)), ((50, 100), (0, 50))])
 def test_the_band_is_central_and_twice_as_wide_as_high(size, rows):
     photo = np.broadcast_to(np.arange(size[0])[:, None, None], (*size, 3))
     band = visible(photo, "band")

@@ -7,7 +7,6 @@ import shutil
 import zipfile
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 
 import nbformat
 import numpy as np
@@ -187,11 +186,7 @@ def test_cards_of_networks(tmp_path, monkeypatch, counted):
     monkeypatch.setattr("dualdepth.networks.architecture.Architecture.build", lambda self, pretrained=False: network())
     monkeypatch.setattr("dualdepth.model.make_pose_net", lambda encoder: network())
     whole = Architecture(network="lr", encoder="resnet18").model_dump() | {"hr_size": [192, 192], "pose_encoder": None}
-    save_weights(
-        tmp_path / "w.safetensors",
-        SimpleNamespace(state_dict=lambda: network().state_dict(prefix="depth_net.") | network().state_dict(prefix="pose_net.")),
-        whole,
-    )
+    save_weights(tmp_path / "w.safetensors", torch.nn.ModuleDict({"depth_net": network(), "pose_net": network()}), whole)
     digest = load_card(tmp_path / "w.safetensors")["sha256"]
     assert load(tmp_path / "w.safetensors", "cpu").size == load_pose_net(tmp_path / "w.safetensors")[1] == (192, 192)
 

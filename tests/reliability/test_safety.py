@@ -52,9 +52,7 @@ def test_addresses_stand_in_the_manifest_alone_and_are_https():
 
 def test_nothing_but_the_downloads_opens_addresses():
     for path in SOURCES:
-        imported = re.findall(
-            r"^\s*(?:import|from) (urllib\.request|http\.client|requests|httpx|aiohttp)\b", path.read_text(), re.MULTILINE
-        )
+        imported = re.findall(r"(?m)^\s*(?:import|from) (urllib\.request|http\.client|requests|httpx|aiohttp)\b", path.read_text())
         assert not imported or path.name == "fetch.py", path
 
 

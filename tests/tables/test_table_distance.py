@@ -33,12 +33,9 @@ def scores_of(run, seeds, own_ratio=False):
     return collect(run, METHODS, seeds, lambda training: training.parts(near_and_far, own_ratio=own_ratio))
 
 
-def table_of(run, seeds):
-    return distance_table(run, {own_ratio: scores_of(run, seeds, own_ratio) for own_ratio in RATIOS})
-
-
 def test_faults_of_far_depth_show_in_the_far_rows_with_one_ratio_and_go_with_a_ratio_of_their_own(run, check_paper_rows):
-    table, published = table_of(run, [0, 1]), paper.table("distance")
+    table = distance_table(run, {own_ratio: scores_of(run, [0, 1], own_ratio) for own_ratio in RATIOS})
+    published = paper.table("distance")
     check_paper_rows(table, published)
     table = table.query("source == 'measured'").set_index(["variant", "distance", "scaling"])
     named = table["method"].groupby("variant").first()

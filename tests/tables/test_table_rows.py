@@ -95,9 +95,8 @@ def test_a_pair_that_was_not_trained_has_a_reason_alone(make_run, make_scores, g
     give(lambda variant, seed: make_scores(0.2))
     run = make_run("own", kitti="train: {lr: , dual: }\n")
     scores = collect(run, ["lr", "dual", "dual_no_sa", "hr_only"], [0])
-    table = comparisons(
-        row for pair in (("dual", "dual_no_sa"), ("dual", "lr"), ("dual_no_sa", "hr_only")) for row in paired(scores, *pair)
-    )
+    pairs = [("dual", "dual_no_sa"), ("dual", "lr"), ("dual_no_sa", "hr_only")]
+    table = comparisons(row for pair in pairs for row in paired(scores, *pair))
     assert table["reason"].iloc[0] == "profile own does not train dual_no_sa"
     assert table["reason"].iloc[-1] == "profile own does not train dual_no_sa; profile own does not train hr_only"
     assert table["difference"].notna().tolist() == [False, True, True, False]
