@@ -58,6 +58,7 @@ def numbers(footage):
 ORDERS = {"f1, f2, f3, f6, f7": [0, 1, 2, 5, 6], "cam2_8, cam2_9, cam2_10, cam2_12": [0, 1, 2, 4], "f10, f20, f30, f50": [0, 1, 2, 4]}
 ORDERS |= {"a, b, c": [0, 1, 2], "name, name (1), name (2), name (10)": [0, 1, 2, 10], "-12, -11, -2, -1": [0, 1, 10, 11]}
 ORDERS |= {"1305031102.875304, 1305031102.975211, 1305031103.075309, 1305031103.375300": [0, 1, 2, 5], "7.9, 7.95, 8, 8.05": [0, 1, 2, 3]}
+ORDERS |= {"1305031102.1753, 1305031103": [0, 1], "1305031102.25, 1305031102.5, 1305031103": [0, 1, 2]}
 ORDERS |= {"1.75, 2.5, 3.25": [0, 1, 2], "cam2.8, cam2.9, cam2.10, cam2.12": [0, 1, 2, 4]}
 ORDERS |= {"12.5000, 12.900000000, 13.100000, 13.990000000": [0, 1, 2, 3], "8.250_cam0, 8.500_cam0, 8.750_cam0, 9.250_cam0": [0, 1, 2, 4]}
 ORDERS |= {"2024-01-02 10-15-59-900, 2024-01-02 10-16-00-100, 2024-01-02 10-16-00-300": [0, 1, 2]}
@@ -70,7 +71,7 @@ def test_names_say_which_frames_are_neighbours_and_natural_order_is_that_of_time
     names = listed.split(", ")
     footage = Footage(write_frames(tmp_path / "f", [frame(0)] * len(names), names[::-1]))
     assert numbers(footage) == expected and footage.length == len(names) and [still.file.stem for still in footage.stills()] == names
-    unsure = names[0] in ("a", "2024-01-02 10-15-59-900", "IMG_9997", "12.5000", "1.75")
+    unsure = names[0] in ("a", "2024-01-02 10-15-59-900", "IMG_9997", "12.5000", "1.75", "1305031102.25")
     assert sum("order" in line or "roll over" in line for line in capsys.readouterr().err.splitlines()) == unsure
 
 
