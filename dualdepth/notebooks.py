@@ -19,15 +19,13 @@ DRY = re.compile(r"--dry-?run|-[a-z]*n[a-z]*")  # Snakemake's options for only s
 
 
 def run_chain(profile: str, roots: Mapping[str, str], seeds: str, allow_leak: bool, cores: str, options: Sequence[str]) -> NoReturn:
-    """Become Snakemake, which runs a profile's notebooks under a lock, so that two runs cannot mix; a dry run needs none.
+    """Become Snakemake, which runs a profile's notebooks under a lock, so that two runs cannot mix; a dry run needs none. An `InputError`
+    says that the profile, seeds or a root is wrong, that nothing can be written, or that another process works on the profile.
 
     Args:
         roots: folders and files that a user gives, by the names of `run.ROOTS`.
         seeds: such as `0,1,2`; empty for the profile's.
         cores, options: for Snakemake.
-
-    Raises:
-        InputError: the profile, seeds or a root is wrong, nothing can be written, or another process works on the profile.
     """
     run, dry = Run(profile), any(map(DRY.fullmatch, options))
     check_roots(roots)

@@ -32,6 +32,14 @@ def slow_smoothness(disparity, image):
     return x.mean() + y.mean()
 
 
+def slow_anchor(added, image):
+    """Mean of |r| e^−50t of each r (h, w), where t is |∂I| of I (3, H, W), mean of 7×7 pixels; e^−50t is averaged for smaller r."""
+    steep = abs(np.diff(image, axis=1, append=image[:, -1:])).mean(0) + abs(np.diff(image, axis=2, append=image[..., -1:])).mean(0)
+    t = [[steep[max(v - 3, 0) : v + 4, max(u - 3, 0) : u + 4].mean() for u in range(steep.shape[1])] for v in range(len(steep))]
+    flat = [np.exp(-50 * np.array(t)).reshape(len(r), len(steep) // len(r), r.shape[1], -1).mean((1, 3)) for r in added]
+    return np.mean([(f * abs(r)).mean() for f, r in zip(flat, added)])
+
+
 def slow_warp(image, disparity, numbers, k):
     """Equation 1 and bilinear sampling: (C, H, W) seen from the target, and which pixels are seen at all."""
     out, seen = np.zeros((len(image), *disparity.shape)), np.zeros(disparity.shape, bool)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 import torch
-from slow_losses import slow_minimum, slow_photometric, slow_smoothness, slow_total
+from slow_losses import slow_anchor, slow_minimum, slow_photometric, slow_smoothness, slow_total
 
 from dualdepth import geometry
-from dualdepth.losses import feature_error, mean_over_seen, minimum_over_sources, photometric_error, smoothness, total_loss
+from dualdepth.losses import anchor, feature_error, mean_over_seen, minimum_over_sources, photometric_error, smoothness, total_loss
 from dualdepth.settings import Loss
 
 ALPHA = 0.85
@@ -70,6 +70,14 @@ def test_feature_error_is_the_euclidean_distance_over_channels():
 def test_smoothness_equals_the_slow_definition_on_mean_normalised_disparity():
     disparity, image = 0.1 + noise(1, 1, 6, 9, seed=1, dtype=torch.float64), noise(1, 3, 6, 9, seed=2, dtype=torch.float64)
     assert smoothness(disparity, image).item() == pytest.approx(slow_smoothness(disparity[0, 0].numpy(), image[0].numpy()), abs=1e-12)
+
+
+def test_the_anchor_equals_its_slow_definition_and_lets_go_where_there_is_texture():
+    image = 0.03 * noise(1, 3, 12, 16, seed=1, dtype=torch.float64)
+    added = [noise(1, 1, 12 >> s, 16 >> s, seed=s) - 0.5 for s in range(2)]
+    expected = slow_anchor([r[0, 0].numpy() for r in added], image[0].numpy())
+    assert anchor(added, image).item() == pytest.approx(expected, abs=1e-6) and expected > 0.05
+    assert anchor(added, 30 * image) < 1e-6
 
 
 def test_the_minimum_over_sources_equals_a_slow_reference():

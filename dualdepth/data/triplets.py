@@ -38,10 +38,8 @@ def drive_triplets(
         drives: `date/date_drive_XXXX_sync`, with `:image_00` behind it to read that camera.
         cameras: camera folders in order of preference for the other drives; the first that a drive has is read.
         static: (drive, index) of frames where the camera stands still.
-        test_scenes: drives that hold test frames; naming one in `drives` is an error.
-
-    Raises:
-        InputError: a test drive among `drives`, drives without frames (all named at once), or no triplet at all.
+        test_scenes: drives that hold test frames; naming one in `drives` is an `InputError`, as are drives without frames (all are
+            named) and no triplet at all.
     """
     chosen = [entry.partition(":")[::2] for entry in drives]
     leaked = sorted({drive for drive, _ in chosen} & set(test_scenes))

@@ -26,6 +26,7 @@ class DepthOutput(NamedTuple):
 
     logits: list[Tensor]  # (B, 1, H/2^s, W/2^s) before the sigmoid, float32
     features: Tensor  # (B, 16, H, W), the last
+    added: list[Tensor] | None = None  # what HR-Net adds to LR-Net's logits, if it does
 
     @property
     def disparities(self) -> list[Tensor]:

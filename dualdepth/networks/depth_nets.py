@@ -118,7 +118,7 @@ class DualNet(nn.Module):
         if self.residual:
             floored = low_output.logits[0].clamp(min=self.floor)
             start = (F.interpolate(floored, x.shape[-2:], mode="bilinear", align_corners=False) for x in output.logits)
-            output = output._replace(logits=[x + s for x, s in zip(output.logits, start)])
+            output = output._replace(logits=[x + s for x, s in zip(output.logits, start)], added=output.logits)
         return (output, low_output) if with_lr_depth else output
 
 

@@ -174,15 +174,12 @@ def outputs(layers: nn.ModuleList, x: Tensor, kept: Sequence[int] | None = None)
 
 
 def make_encoder(name: str, pretrained: bool | str = False) -> Encoder:
-    """Build an encoder.
+    """Build an encoder. An `InputError` says that there is none of this name, or that its weights cannot be had.
 
     Args:
         name: `resnet50`, `resnet18`, `mobilenet_v2`, `efficientnet_lite0`, or the hub name or local folder of a hierarchical AutoBackbone.
         pretrained: False needs no network; True takes ImageNet weights from the hub or its cache, those of `efficientnet_lite0` from an
             installed package; a string names the local folder (or hub name; for `efficientnet_lite0` the file) to take them from.
-
-    Raises:
-        InputError: an unknown name, or weights that cannot be had.
     """
     own = {"mobilenet_v2": MobileNetV2Encoder, "efficientnet_lite0": EfficientNetLite0Encoder}
     if name in own:

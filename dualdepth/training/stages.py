@@ -7,7 +7,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from dualdepth.geometry import low_resolution, resize_intrinsics, to_unit
-from dualdepth.losses import Losses, total_loss
+from dualdepth.losses import Losses, anchor, total_loss
 from dualdepth.networks.pose_net import EncoderPoseNet, PoseNet
 from dualdepth.refinement import refined
 from dualdepth.settings import Training
@@ -55,6 +55,7 @@ class Stage(nn.Module):
         super().__init__()
         self.depth_net, self.pose_net = depth_net, pose_net
         self.loss, self.channels_last, self.low = training.loss, training.channels_last, low
+        self.anchor = training.beyond_paper_residual_anchor
         self.colour = training.augmentation.beyond_paper_colour
         self.hr_batch = training.augmentation.augment_first or not low
         """Whether batches have the HR size; frames that are shrunk before they are augmented have the LR size."""
@@ -79,7 +80,7 @@ class Stage(nn.Module):
             seen, matrix = small, resize_intrinsics(matrix, 1 / 3, 1 / 3)
         # the sources' depth features are needed for the feature loss alone
         with_features = self.low and self.loss.feature > 0 and not in_a_corridor
-        poses = self.pose_net(small)
+        poses, added = self.pose_net(small), None
         if in_a_corridor:
             disparities = corridor(matrix, images.shape[-2:], self.loss.scales)
             features = torch.zeros_like(disparities[0])[:, None]
@@ -89,6 +90,7 @@ class Stage(nn.Module):
             if self.channels_last:
                 network_input = network_input.contiguous(memory_format=torch.channels_last)
             output = self.depth_net(network_input, self.loss.scales)
+            added = output.added
             disparities = [d.unflatten(0, views.shape[:2])[:, 0] for d in output.disparities]
             features = output.features.unflatten(0, views.shape[:2])
         with torch.autocast(images.device.type, enabled=False):
@@ -99,6 +101,8 @@ class Stage(nn.Module):
                 small_matrix = resize_intrinsics(matrix, share, share)
                 poses = refined(small, disparities[0], predicted, small_matrix, self.loss.mean_disparity)
             losses = total_loss(images, matrix, disparities, poses, self.loss, pair)
+            if self.anchor and added:
+                losses = losses._replace(total=losses.total + self.anchor * anchor(added, images[:, 0]))
             if refine:
                 losses = losses._replace(total=losses.total + (predicted - poses).abs().mean())
         scale = getattr(getattr(self.depth_net, "attention", None), "scale", None)

@@ -243,6 +243,7 @@ def test_a_residual_begins_with_lr_nets_depth_enlarged_above_the_floor(encoder):
         moved = net(image())
         alone = net.hr_net(*seen[0])
     assert torch.allclose(moved.logits[0], high.logits[0] + alone.logits[0], atol=1e-5)
+    assert torch.equal(moved.added[0], alone.logits[0]) and alone.added is None
 
 
 @pytest.mark.parametrize("link", ["attention", "embedding"])
