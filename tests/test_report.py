@@ -104,11 +104,6 @@ def test_a_missing_table_names_its_notebook(make_run):
         make_report(run)
 
 
-def addresses(page):
-    """What a page asks for."""
-    return set(re.findall(r"""(?:src|href|url)\s*[=(]\s*["']?([^"')\s>]+)""", page))
-
-
 def test_the_page_has_everything_in_it_and_asks_for_no_other_file(make_run):
     run = make_run("miniature")
     (run.root / "docs").symlink_to(project_root() / "docs")
@@ -118,7 +113,8 @@ def test_the_page_has_everything_in_it_and_asks_for_no_other_file(make_run):
     assert pd.read_csv(run.results / "tables/report_claims.csv")["verdict"].iloc[0] == "reproduced"
     page = file.read_text()
     assert write_report(run, make_report(run)).read_text() == page  # its own tables do not disturb it
-    assert addresses(page) and all(address.startswith(("data:", "#")) for address in addresses(page))
+    asked = set(re.findall(r"""(?:src|href|url)\s*[=(]\s*["']?([^"')\s>]+)""", page))
+    assert asked and all(address.startswith(("data:", "#")) for address in asked)
     assert "<script" not in page and "@import" not in page
     assert "SA-Attention" in page[page.index("<svg") : page.index("</svg>")]  # the drawing of the networks
     for title in TITLES.values():

@@ -110,11 +110,6 @@ def test_a_data_set_of_an_own_camera_made_anew_in_its_folder_is_prepared_anew(fr
     assert {"01_download_data", "02_prepare_data", "03_train_lr lr seed 0"} <= set(fresh(f"kitti_root={tmp_path / 'film'}"))
 
 
-def test_a_result_that_was_deleted_is_made_again(chain, tmp_path):
-    (tmp_path / "results/own/tables/main.csv").unlink()
-    assert chain() == ["05_table_main", "14_report"]
-
-
 def test_the_cluster_profile_is_one_that_snakemake_takes(fresh):
     """A dry run; the SLURM plugin itself is not installed here."""
     settings = project_root() / "cluster" / "slurm"

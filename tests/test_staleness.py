@@ -7,7 +7,7 @@ import pytest
 from import_graph import ROOT, closure, modules, notebook_imports
 
 from dualdepth import run
-from dualdepth.run import CODE, Run, code_digest, notebook_digest
+from dualdepth.run import CODE, code_digest, notebook_digest
 
 NOTEBOOKS = sorted(path.stem for path in (ROOT / "notebooks").glob("*.ipynb"))
 STEPS = dict(re.findall(r'made_from\(\s*"?([\w\[\]]+)"?,\s*"(\w+)"', (ROOT / "Snakefile").read_text(encoding="utf-8")))
@@ -100,9 +100,3 @@ def test_a_notebooks_digest_is_blind_to_its_outputs(tmp_path):
     before = digest(["x = 1\n", "x"], [])
     assert digest(["x = 1\n", "x"], [{"text": "1"}]) == digest("x = 1\nx", []) == before
     assert digest(["x = 2\n", "x"], []) != before
-
-
-def test_a_setting_is_named_by_its_path():
-    found = Run("tiny").made_from("05_table_main", "tables", setting={"evaluation": {"crop": "eigen"}}, files={"own.json": None})
-    assert {("setting evaluation.crop", "eigen"), ("files own.json", None)} <= set(found)
-    assert [name for name, _ in found][:2] == ["notebook 05_table_main", f"code {CODE['tables'][0]}"]

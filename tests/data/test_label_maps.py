@@ -6,16 +6,13 @@ from PIL import Image
 from dualdepth.data.label_maps import read_label_map
 
 
-def every_id(size=(7, 11)):
-    return np.resize(np.array([*range(19), 255], np.uint8), size)
-
-
 def test_every_training_id_and_ignore_come_back_as_they_were_written_and_of_a_palette_the_indices_count(tmp_path):
-    path, image = tmp_path / "a.png", Image.fromarray(every_id())
+    every_id = np.resize(np.array([*range(19), 255], np.uint8), (7, 11))
+    path, image = tmp_path / "a.png", Image.fromarray(every_id)
     image.save(path)
     assert read_label_map(path).dtype == np.uint8
-    np.testing.assert_array_equal(read_label_map(path), every_id())
+    np.testing.assert_array_equal(read_label_map(path), every_id)
     image.putpalette([255 - i // 3 for i in range(768)])
     image.save(path)
     assert Image.open(path).mode == "P"
-    np.testing.assert_array_equal(read_label_map(path), every_id())
+    np.testing.assert_array_equal(read_label_map(path), every_id)

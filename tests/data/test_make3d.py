@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from dualdepth.data.make3d import find_pairs, is_truncated, read_grid, read_photo
+from dualdepth.data.make3d import find_pairs, is_truncated, read_photo
 from dualdepth.errors import InputError
 
 NAMES = ("b-p-002t000", "a-p-001t000")
@@ -55,13 +55,6 @@ def test_pairs_are_found_by_name_in_their_order(make_root, photo_folder, grid_fo
 def test_what_stands_alone_and_folders_without_files_are_named(make_root, photos, grids, said):
     with pytest.raises(InputError, match=f"MAKE3D_ROOT .*{said}"):
         find_pairs(make_root(photos=photos, grids=grids))
-
-
-def test_the_fourth_channel_is_the_depth(make_root):
-    root = make_root()
-    grid = read_grid(root / "Gridlaserdata" / f"depth_sph_corr-{NAMES[1]}.mat")
-    assert grid.dtype == np.float64
-    np.testing.assert_array_equal(grid, points(1)[..., 3])
 
 
 @pytest.mark.parametrize("kept", [0.75, 0.999])

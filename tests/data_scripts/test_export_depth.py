@@ -59,10 +59,6 @@ def test_missing_files_are_in_one_message_or_left_out_and_keys_keep_the_place(ki
     assert "2 of 2" in refused(run, "--allow-missing")
 
 
-def test_an_output_that_cannot_be_written_is_named(kitti, refused):
-    assert "list.txt/G.npz: cannot write" in refused(run, "--out", "list.txt/G.npz")
-
-
 def test_improved_maps_are_exported_without_the_raw_data(kitti, refused):
     folder = Path("annotated/val/2011_09_26_drive_0001_sync/proj_depth/groundtruth/image_02")
     folder.mkdir(parents=True)

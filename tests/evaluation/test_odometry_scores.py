@@ -204,13 +204,6 @@ def test_neighbours_have_consecutive_numbers():
     assert math.isnan(lonely["rpe_t"]) and math.isnan(lonely["rpe_r"]) and lonely["ate"] == 0
 
 
-def test_a_short_trajectory_has_no_segments():
-    result = trajectory_errors(drive(straight(101)), drive(straight(101, 0.9)), "none")
-    assert result["segments"] == 0 and math.isnan(result["t_err"]) and math.isnan(result["r_err"])
-    assert result["rpe_t"] == pytest.approx(0.1)
-    assert trajectory_errors(drive(straight(102)), drive(straight(102)))["segments"] == 1
-
-
 def test_the_mean_step_counts_every_step_once():
     turned = pose(yaw(1.2), (5, 5, 5)) @ straight(2, 4.0)
     np.testing.assert_allclose(odometry.mean_step([straight(4), turned]), [0, 0, (3 * 1 + 4) / 4], atol=1e-12)

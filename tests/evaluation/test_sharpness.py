@@ -36,13 +36,6 @@ def test_tenengrad_equals_the_slow_sum_at_every_threshold():
     assert result[0] > result[1] > result[2] > result[3] > result[4] == 0
 
 
-def box(height=40, width=60, near=10.0, far=40.0):
-    """A near box before a wall: boundaries in all four directions."""
-    depth = np.full((height, width), far)
-    depth[12:28, 20:40] = near
-    return depth
-
-
 def slow_scores(depth, truth):
     """Depth Pro's formula pixel by pixel: a boundary in a direction is a neighbour there that is more than t times as far."""
     height, width = truth.shape
@@ -83,5 +76,6 @@ def test_boundary_scores_equal_the_slow_formula(seed):
 
 
 def test_a_flat_map_finds_nothing_and_a_flat_truth_has_nothing():
-    assert boundary_scores(np.full((40, 60), 7.0), box()) == dict.fromkeys(SCORES, 0.0)
-    assert boundary_scores(box(), np.full((40, 60), 7.0)) == dict.fromkeys(SCORES, 0.0)
+    flat, box = np.full((40, 60), 40.0), np.full((40, 60), 40.0)
+    box[12:28, 20:40] = 10  # boundaries in all four directions
+    assert boundary_scores(flat, box) == boundary_scores(box, flat) == dict.fromkeys(SCORES, 0.0)

@@ -62,12 +62,6 @@ def lr_file(weights, tmp_path_factory):
     return out
 
 
-@pytest.fixture
-def written_already(lr_file, monkeypatch):
-    """An export that writes that file."""
-    monkeypatch.setattr(export, "write_onnx", lambda model, path: shutil.copy(lr_file, path))
-
-
 @pytest.fixture(scope="module")
 def frames(tmp_path_factory):
     """Three image files of another size than the network's."""
@@ -116,8 +110,8 @@ def test_the_file_says_what_it_is_and_nothing_of_this_machine(weights, lr_file):
     assert str(project_root()).encode() not in lr_file.read_bytes()
 
 
-@pytest.mark.usefixtures("written_already")
-def test_a_file_that_differs_from_pytorch_or_cannot_be_run_is_not_left(weights, tmp_path, monkeypatch):
+def test_a_file_that_differs_from_pytorch_or_cannot_be_run_is_not_left(weights, lr_file, tmp_path, monkeypatch):
+    monkeypatch.setattr(export, "write_onnx", lambda model, path: shutil.copy(lr_file, path))
     model, out = load(weights, "cpu"), tmp_path / "out" / "depth.onnx"
     decoder_of(model.depth_net).heads[-1].bias.data.add_(0.1)
     model.save_pretrained(tmp_path / "changed")

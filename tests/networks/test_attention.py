@@ -57,10 +57,6 @@ def inputs(items=2, size=SIZE, seed=0):
     return features, torch.rand(items, 3, 4 * size[0], 8 * size[1], generator=rng)
 
 
-def embedded(items=1, positions=6, width=7, dtype=torch.float64):
-    return torch.randn(items, width, positions, generator=torch.Generator().manual_seed(3), dtype=dtype)
-
-
 @pytest.mark.parametrize(("similarity", "normalise"), SETTINGS)
 def test_it_is_the_weighted_sum_over_all_positions(similarity, normalise):
     attention = attention_of(similarity, normalise)
@@ -102,7 +98,8 @@ def test_it_computes_in_float32_under_bfloat16(mixing):
 @pytest.mark.parametrize(("similarity", "normalise"), SETTINGS)
 def test_gradients_are_those_of_finite_differences_and_finite_for_large_features_and_equal_positions(similarity, normalise):
     attention = attention_of(similarity, normalise)
-    assert gradcheck(lambda f: f @ attention.weights(f), embedded(positions=4, width=3).requires_grad_())
+    embedded = torch.randn(1, 3, 4, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
+    assert gradcheck(lambda f: f @ attention.weights(f), embedded.requires_grad_())
     features, image = inputs()
     found = attention(1e6 * features, image)
     found.mean().backward()

@@ -11,6 +11,7 @@ from torch import nn
 from torch.nn import functional as F
 
 from dualdepth.errors import InputError
+from dualdepth.networks.convolution import Conv2d
 from dualdepth.networks.depth_nets import LRNet
 from dualdepth.networks.encoders import IMAGENET_MEAN, lite0_weights, make_encoder
 
@@ -38,6 +39,7 @@ def test_no_convolution_pads_with_zeros(name):
     assert len(padded) > 20
     modes = {(m.kernel_size[0] == 5, m.padding_mode) for m in padded}
     assert modes <= {(False, "reflect"), (True, "replicate")}, "5×5 kernels are too large to reflect the deepest maps"
+    assert {type(m) for m in padded} == {Conv2d}, "which mirrors in the narrow type"
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -99,10 +99,3 @@ def test_the_held_out_frames_are_the_last_and_no_neighbours_of_the_trained_ones(
     assert train == [Drive(0, tuple(range(50))), Drive(1, tuple(range(82)))]
     train, shown = hold_out([Drive(0, tuple(range(50))), Drive(0, tuple(range(60, 70)))], count=8)
     assert shown.numbers == tuple(range(42, 50)), "a last drive that is too short is trained on"
-
-
-def test_real_kitti_passes_every_check_and_every_eighth_frame_of_it_does_not(real):
-    footage = Footage(real("kitti_odometry/sequences/06/image_0"))
-    film = examine([footage], 0.577)
-    assert failed(film) == [] and film.stride == 1 and film.counts["used"] == footage.length
-    assert "consecutive" in failed(examine([footage], 0.577, stride=8))
