@@ -82,15 +82,16 @@ def make_report(run: Run) -> Report:
 def headline(main: pd.DataFrame) -> str:
     """What was learned, in a sentence: errors of both networks, beside what the mean depth map of training streets has."""
     ours = main[main["source"] == "measured"].set_index("method")
-    measured = ours["abs_rel"].dropna()
+    measured = ours[["abs_rel", "a1"]].dropna()
     names = {
         "LR-Net + HR-Net, w/ SA": "the dual network's{depth} {off}",
         "LR-Net": "LR-Net's{depth} {off}",
         "Train set mean": "the mean depth map of other streets {off}",
     }
-    shares = [(words, f"by {measured[method]:.1%}") for method, words in names.items() if method in measured]
-    said = [words.format(depth="", off=share) for words, share in shares]
-    said[:1] = [words.format(depth=" depth", off=f"is off {share} on average") for words, share in shares[:1]]
+    shares = [(words, *map("{:.1%}".format, measured.loc[method])) for method, words in names.items() if method in measured.index]
+    said = [words.format(depth="", off=f"by {off} and in {near}") for words, off, near in shares]
+    first = "is off by {} on average and right within a factor of 1.25 in {} of the pixels".format
+    said[:1] = [words.format(depth=" depth", off=first(off, near)) for words, off, near in shares[:1]]
     if not said:
         return "Nothing was scored; what was learned shows in the pictures."
     leaked = "leak" in ours and ours["leak"].fillna("").ne("").any()

@@ -139,10 +139,11 @@ def test_a_run_ends_with_what_was_learned_and_where_to_look(tmp_path):
     run = Run("paper", tmp_path)
     assert "results/paper" in first_look(run)
     methods = ["LR-Net", "LR-Net", "LR-Net + HR-Net, w/ SA", "Train set mean"]
-    table = pd.DataFrame({"method": methods, "source": ["paper", *["measured"] * 3], "abs_rel": [0.5, 0.2, 0.18, 0.3]})
+    scores = {"abs_rel": [0.5, 0.2, 0.18, 0.3], "a1": [0.5, 0.71, 0.75, 0.6]}
+    table = pd.DataFrame({"method": methods, "source": ["paper", *["measured"] * 3], **scores})
     run.save_table(table, "main", [])
     said = first_look(run)
-    for words in ("20.0%", "18.0%", "30.0%", "results/paper/figures/side_by_side.png", "results/paper/report.html"):
+    for words in ("20.0%", "71.0%", "18.0%", "75.0%", "30.0%", "results/paper/figures/side_by_side.png", "results/paper/report.html"):
         assert words in said
     assert "50.0%" not in said and "%" not in headline(table.assign(abs_rel=np.nan))
     alone = headline(table.assign(abs_rel=table["abs_rel"].mask(table["method"].str.contains("HR-Net"))))
