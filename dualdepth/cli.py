@@ -4,6 +4,7 @@ import argparse
 import itertools
 import json
 import math
+import os
 import re
 import sys
 from collections.abc import Callable, Sequence
@@ -40,10 +41,11 @@ class OneLineParser(argparse.ArgumentParser):
         """The same; the numbers of `--intrinsics`, four or, with a size, six, may be words of their own instead of one word."""
         words = [*(sys.argv[1:] if args is None else args)]
         at = words.index("--intrinsics") + 1 if "--intrinsics" in words else len(words)
-        count = len([*itertools.takewhile(re.compile(r"[-+]?\.?\d[-+.\de]*").fullmatch, words[at : at + 6])])
-        count -= count == 5  # an input whose name is a number
-        if count > 1:
-            words[at - 1 : at + count] = [f"--intrinsics={','.join(words[at : at + count])}"]
+        numbers = [*itertools.takewhile(re.compile(r"[-+]?\.?\d[-+.\de]*,?").fullmatch, words[at : at + 6])]
+        if len(numbers) == 5 or any(map(os.path.exists, numbers[4:])):  # inputs whose names are numbers
+            numbers = numbers[:4]
+        if len(numbers) > 1:
+            words[at - 1 : at + len(numbers)] = [f"--intrinsics={' '.join(numbers)}"]
         return super().parse_args(words, namespace)
 
     def format_help(self) -> str:
@@ -184,7 +186,7 @@ def _number(kind: type, above: float = 0, below: float = math.inf) -> Callable[[
 
 def intrinsics(text: str) -> tuple[float, ...]:
     """The type of an option that is the focal lengths and the principal point, with commas or blanks between them."""
-    numbers = tuple(map(_number(float, -math.inf), text.replace(",", " ").split()))
+    numbers = tuple(map(_number(float, -math.inf), re.split(r",?\s+|,", text.strip())))
     if len(numbers) != 4 or min(numbers[:2]) <= 0:
         raise argparse.ArgumentTypeError(f"{text} must be FX,FY,CX,CY, of which the focal lengths FX and FY are above 0")
     return numbers

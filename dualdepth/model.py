@@ -105,9 +105,7 @@ class DepthModel(nn.Module, ModelHubMixin):
 
         Returns:
             (H, W) float32, positive: depth in an unknown unit (1 / the network's disparity, so from 0.1 to 100), at the image's size.
-
-        Raises:
-            InputError: the file is missing, broken or no image, or the array is of another shape or type.
+            An `InputError` says that the file is missing, broken or no image, or that the array is of another shape or type.
         """
         return self.predict_batch([image])[0]
 
@@ -128,10 +126,7 @@ class DepthModel(nn.Module, ModelHubMixin):
             read: gives (H, W, 3) uint8 RGB of a file.
 
         Returns:
-            (N, h, w) float32, positive, of unknown scale.
-
-        Raises:
-            InputError: an image cannot be read, or the network gives no finite numbers.
+            (N, h, w) float32, positive, of unknown scale. An `InputError` says that an image cannot be read or a number is not finite.
         """
         maps, _ = [], self.eval()  # whatever mode the caller left it in
         with tqdm(total=len(images), desc="predicting", unit="image", disable=len(images) <= batch_size) as bar:
@@ -223,7 +218,8 @@ def predict_poses(
     *,
     batch_size: int = 16,
 ) -> np.ndarray:
-    """Motions between the neighbouring frames of a sequence, `batch_size` targets at a time; each frame is decoded once.
+    """Motions between the N ≥ 3 neighbouring frames of a sequence, `batch_size` targets at a time; each frame is decoded once. Fewer are
+    an `InputError`.
 
     Args:
         net, size: from `load_pose_net`.
@@ -235,9 +231,6 @@ def predict_poses(
         (N − 2, 2, 4, 4) float64: for each frame but the first and last, as target, the pose that maps its coordinates to the previous
         frame's and to the next frame's; translations in the unit of the predicted depth, which changes with the frame without `depth`:
         there each frame's disparities are first divided by their mean.
-
-    Raises:
-        InputError: fewer than three frames.
     """
     if len(paths) < 3:
         raise InputError(f"{len(paths)} frames: PoseNet sees three at a time")

@@ -60,7 +60,11 @@ def make_report(run: Run) -> Report:
     if judged == "none":
         claims["verdict"] = claims["verdict"].where(claims["verdict"] == NOT_RUN, "not judged")
     training, words = run.profile.training, _WORDS["cautions"][judged]
-    used = {"residual": training.beyond_paper_residual, "pose_encoder": training.beyond_paper_pose_encoder}
+    used = {
+        "residual": training.beyond_paper_residual,
+        "anchored": training.beyond_paper_residual_anchor > 0,
+        "pose_encoder": training.beyond_paper_pose_encoder,
+    }
     used |= {"frozen_pose": training.hr.beyond_paper_frozen_pose, "refined": training.beyond_paper_refined_after is not None}
     used |= {"augmented": training.augmentation.beyond_paper_flip or training.augmentation.beyond_paper_colour}
     beyond = [_WORDS[name] for name, on in used.items() if on]
@@ -80,22 +84,21 @@ def make_report(run: Run) -> Report:
 
 
 def headline(main: pd.DataFrame) -> str:
-    """What was learned, in a sentence: errors of both networks, beside what the mean depth map of training streets has."""
+    """What was learned, in a sentence: how far off both networks are, beside what the mean depth map of training streets has."""
     ours = main[main["source"] == "measured"].set_index("method")
     measured = ours[["abs_rel", "a1"]].dropna()
     names = {
-        "LR-Net + HR-Net, w/ SA": "the dual network's{depth} {off}",
-        "LR-Net": "LR-Net's{depth} {off}",
-        "Train set mean": "the mean depth map of other streets {off}",
+        "LR-Net + HR-Net, w/ SA": "the dual network's depth",
+        "LR-Net": "LR-Net's depth",
+        "Train set mean": "the mean depth map of other streets",
     }
-    shares = [(words, *map("{:.1%}".format, measured.loc[method])) for method, words in names.items() if method in measured.index]
-    said = [words.format(depth="", off=f"by {off} and in {near}") for words, off, near in shares]
-    first = "is off by {} on average and right within a factor of 1.25 in {} of the pixels".format
-    said[:1] = [words.format(depth=" depth", off=first(off, near)) for words, off, near in shares[:1]]
-    if not said:
+    rows = [(words, *map("{:.1%}".format, measured.loc[method])) for method, words in names.items() if method in measured.index]
+    if not rows:
         return "Nothing was scored; what was learned shows in the pictures."
+    said = ["{} is off by {} on average and right within a factor of 1.25 in {} of the pixels".format(*rows[0])]
+    said += [f"{words.removesuffix(' depth')} is off by {off} and right in {near}" for words, off, near in rows[1:]]
     leaked = "leak" in ours and ours["leak"].fillna("").ne("").any()
-    return f"On {'frames of drives that were trained on' if leaked else 'frames that no training saw'}, {', '.join(said)}."
+    return f"On {'frames of drives that were trained on' if leaked else 'frames that no training saw'}, {'; '.join(said)}."
 
 
 def first_look(run: Run) -> str:

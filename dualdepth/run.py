@@ -113,7 +113,8 @@ class Run:
         """The settings that shape a variant's weights; how it is logged and loaded is not among them."""
         chosen, profile = self.profile.variant(variant), self.profile.of_variant(variant)
         network = chosen.model_dump(mode="json", exclude={"label", "about", "set", "trains_on"})
-        return {"variant": network, **profile.values("data.hr_size", f"training.{chosen.stage}", *_SHAPING)}
+        shaping = [name for name in _SHAPING if chosen.stage == "hr" or "residual" not in name]
+        return {"variant": network, **profile.values("data.hr_size", f"training.{chosen.stage}", *shaping)}
 
     def index(self, variant: str) -> Path:
         """The prepared triplets that a variant trains on (notebook 02)."""

@@ -192,9 +192,9 @@ class Training(Settings):
     beyond_paper_residual_floor: float = Field(-7.0, lt=0, allow_inf_nan=False)
     """Lowest logit of LR-Net that is added to, four times as far as the mean; at −8, six times. Far below, the sigmoid gives no gradient
     to bring nearer what LR-Net took for infinitely far (docs/learning.md, "Stage 2")."""
-    beyond_paper_residual_anchor: float = Field(0.0, ge=0.0)
+    beyond_paper_residual_anchor: float = Field(0.0, ge=0.0, allow_inf_nan=False)
     """Weight of the mean size of what HR-Net adds to LR-Net's logits where the image is flat (`losses.anchor`). There no depth explains
-    images better than another, and without this asphalt gets worse the longer stage 2 goes on."""
+    images better than another, and without it the depth of asphalt gets worse the longer stage 2 lasts."""
     beyond_paper_corridor_steps: int = Field(0, ge=0)
     """Beyond the paper: in so many first steps of stage 1 PoseNet learns alone, from frames that it takes for a level road between
     walls (`stages.corridor`), the paper's PoseNet at a rate of 1e-3. Depth then begins with motions that turn; else it takes turns upon

@@ -239,7 +239,7 @@ NUMBERS = {"--scale": ("0", "nan", "inf"), "--focal": ("0", "nan", "inf"), "--fo
         (["{photos}", "--weights", "gone"], "gone: no such weights; give "),  # the hub, whose names are owner/name, is not asked
         (["{photos}", "--save", "colour,gif"], "'gif'"),
         *((["{photos}", option, value], f"{option}: {value} must be") for option, wrong in NUMBERS.items() for value in wrong),
-        (["{photos}", "--intrinsics", "1", "0", "5", "5"], "--intrinsics: 1,0,5,5 must be FX,FY,CX,CY, of which the focal lengths"),
+        (["{photos}", "--intrinsics", "1", "0", "5", "5"], "--intrinsics: 1 0 5 5 must be FX,FY,CX,CY, of which the focal lengths"),
         *((["{photos}", "--intrinsics", *wrong], "must be FX,FY,CX,CY") for wrong in (["1,1,5"], ["1", "1", "5"], ["1 1 5 5 9"])),
         *((["{photos}", *words, ""], "an empty word ''") for words in ([], ["--out"], ["--weights"])),
         (["{photos}", "--intrinsics", "1,1,inf,5"], "--intrinsics: inf must be"),

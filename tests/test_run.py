@@ -12,7 +12,8 @@ import pytest
 from packaging.requirements import Requirement
 
 from dualdepth.errors import InputError
-from dualdepth.run import Run, project_root
+from dualdepth.run import _SHAPING, Run, project_root
+from dualdepth.settings import Training
 
 REPOSITORY = project_root()
 
@@ -106,6 +107,13 @@ def test_a_recipe_changes_with_triplets_and_settings_that_shape_the_weights(reci
     assert recipe(identity='{"frames": 1}') != plain
     for setting in ("lr: {batch_size: 2}", "precision: float32", "encoder: resnet18", "loss: {feature: 0}"):
         assert recipe(f"training: {{{setting}}}\n") != plain
+    assert recipe("training: {beyond_paper_residual_anchor: 0.1}\n") == plain  # LR-Net has none
+
+
+def test_each_setting_of_training_shapes_the_weights_but_for_those_of_the_machine():
+    shaping = {name.removeprefix("training.") for name in _SHAPING} | {"lr", "hr"}
+    of_the_machine = {"workers", "accumulate", "log_every", "panel_every", "checkpoint_every", "checkpoint_minutes", "keep_checkpoints"}
+    assert {*Training.model_fields} - shaping == of_the_machine
 
 
 def test_stage_2_is_stale_when_stage_1_or_its_own_settings_change(recipe):
@@ -113,7 +121,8 @@ def test_stage_2_is_stale_when_stage_1_or_its_own_settings_change(recipe):
     assert recipe(variant="dual", weights="b") != plain
     assert recipe(variant="dual_no_sa") != plain
     assert recipe(variant="dual_cosine") != plain
-    assert recipe("training: {hr: {epochs: 3}}\n", "dual") != plain
+    for setting in ("hr: {epochs: 3}", "beyond_paper_residual_anchor: 0.1"):
+        assert recipe(f"training: {{{setting}}}\n", "dual") != plain
     assert recipe("training: {loss: {smoothness: 0.2}}\n", "dual") != plain
     assert recipe("training: {lr: {epochs: 3}}\n", "dual") == plain  # what it did to LR-Net stands in LR-Net's weights
     assert recipe("train: {lr: , dual: {training.hr.max_steps: 9}}\n", "dual") != plain

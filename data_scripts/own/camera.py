@@ -1,6 +1,7 @@
 """The intrinsics of a user's own camera: given, found with a chessboard, or estimated from the field of view and said to be so."""
 
 import json
+import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -39,7 +40,7 @@ def camera_of_numbers(text: str, size: tuple[int, int]) -> Camera:
         InputError: no four or six finite numbers, or numbers of frames of another size or shape.
     """
     with reading(f"--intrinsics {text!r}", "give fx,fy,cx,cy in pixels, such as 1000,1000,959.5,539.5, or a calibration file"):
-        numbers = text.replace(",", " ").split()
+        numbers = re.split(r",?\s+|,", text.strip())
         fx, fy, cx, cy, width, height = map(float, numbers + [*size[::-1]] * (len(numbers) == 4))
     camera = Camera(fx, fy, cx, cy, (height, width), "given as numbers")
     return validate(scaled(camera, size, f"--intrinsics {text!r}"), "--intrinsics", told=len(numbers) > 4)

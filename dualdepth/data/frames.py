@@ -75,11 +75,11 @@ def _parts(paths: Iterable[Path]) -> dict[Path, list[str | int]]:
     names = {path: os.path.splitext(path)[0] for path in paths}
     tails = {(re.search(r"\d\.\d+([^\d./\\][^/\\]*)$", name) or [0, ""])[1] for name in names.values()}
     names = {path: name.removesuffix(*tails) for path, name in names.items()} if len(tails) == 1 else names
-    ends_in = [match.groups() for match in map(LAST_NUMBER.search, names.values()) if match]
-    found = [(whole, fraction) for whole, fraction in ends_in if fraction]
+    last = [(name[: match.start()], *match.groups()) for name in names.values() if (match := LAST_NUMBER.search(name))]
+    found, texts = [(whole, fraction) for _, whole, fraction in last if fraction], {text for text, _, fraction in last if fraction}
     lengths = {len(fraction) for _, fraction in found}
     begins, ends = (any(len(fraction) > 1 and fraction[place] == "0" for _, fraction in found) for place in (0, -1))
-    decimal = begins or len(lengths) == 1 or (lengths and not ends and len({whole for whole, _ in ends_in}) > 1)
+    decimal = begins or len(lengths) == 1 or (lengths and not ends and len({whole for text, whole, _ in last if text in texts}) > 1)
     if len(lengths) > 1 and not (begins or ends):
         note(f"{'.'.join(min(found))}, of a name, may be one number or two; {'one' if decimal else 'two'} is assumed for the order")
     names = {p: LAST_NUMBER.sub(lambda m: m[1] + (m[2] or "").ljust(max(lengths), "0"), n) if decimal else n for p, n in names.items()}

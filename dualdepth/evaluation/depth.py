@@ -168,10 +168,8 @@ def evaluate_parts(
 
     Returns:
         One row per image and part that has pixels, indexed by (`image`, `part`): the metrics, `scale_ratio` and `valid_pixels`.
-        `attrs["skipped"]` lists the images without a valid pixel.
-
-    Raises:
-        InputError: the numbers of maps differ, no part of any image has a pixel, or a prediction cannot be scored; the image is named.
+        `attrs["skipped"]` lists the images without a valid pixel. An `InputError` names the image whose prediction cannot be scored, or
+        says that the numbers of maps differ or that no part of any image has a pixel.
     """
     settings, count = Protocol(**protocol), len(predictions)
     if count != len(ground_truths):

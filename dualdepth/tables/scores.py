@@ -120,6 +120,7 @@ class Trained:
         parts = [card["encoder"]] if network != "hr" else []
         parts += [f"{height}x{width}", "ImageNet weights" if card["pretrained"] else "no ImageNet weights"]
         parts += ["learned with refined poses"] if card.get("refined") else []
+        parts += ["anchored where images are flat"] if card.get("anchored") else []
         return ", ".join([*parts, f"{card['steps']} steps{before}", "weights averaged" if card.get("average") else "last epoch"])
 
     def kept(self, name: str, made_from: dict[str, Any], make: Callable[[], Any]) -> Any:

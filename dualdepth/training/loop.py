@@ -58,8 +58,7 @@ class Trainer:
         seed: of initialisation, order and augmentation.
         recipe: digest of all that shapes the result; a checkpoint of another recipe is not resumed.
 
-    Raises:
-        InputError: too few triplets or steps, a checkpoint that cannot be read, or a folder that cannot be written.
+    An `InputError` tells of too few triplets or steps, of a checkpoint that cannot be read, and of a folder that cannot be written.
     """
 
     def __init__(

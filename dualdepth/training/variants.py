@@ -62,6 +62,7 @@ def train_variant(run: Run, name: str, seed: int) -> Path:
             "pose_encoder": profile.training.beyond_paper_pose_encoder,
             "frozen_pose": bool(start) and profile.training.hr.beyond_paper_frozen_pose,
             "refined": trainer.total > trainer.unrefined_steps,
+            "anchored": run.profile.architecture(name).residual and profile.training.beyond_paper_residual_anchor > 0,
             "mean_disparity": profile.training.loss.mean_disparity,
             "average": profile.training.beyond_paper_average,
             "starts_from": {k: before[k] for k in ("variant", "seed", "steps", "sha256")} if before else None,

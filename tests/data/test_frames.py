@@ -75,6 +75,12 @@ def test_names_say_which_frames_are_neighbours_and_natural_order_is_that_of_time
     assert sum("order" in line or "roll over" in line for line in capsys.readouterr().err.splitlines()) == unsure
 
 
+def test_a_file_of_another_kind_does_not_make_fractions_of_counters(tmp_path):
+    names = ["f1.9.png", "f1.11.png", "poster7.png"]
+    write_frames(tmp_path / "f", [frame(0)] * 3, [name[:-4] for name in names])
+    assert [path.name for path in media((tmp_path / "f").iterdir(), tmp_path / "f")] == names
+
+
 def test_what_a_file_is_its_bytes_say_and_of_what_is_left_out_a_folder_tells(tmp_path, capsys):
     pictures = [PIL.Image.fromarray(wall(48, 64, seed=k)) for k in range(4)]
     pictures[0].save(tmp_path / "still.gif")

@@ -1,6 +1,8 @@
 """From a film to a data set that the chain trains on: whole or not there, kept while its inputs are, and refused with what to do."""
 
 import json
+import shlex
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -57,9 +59,11 @@ def test_the_chain_reads_it_as_it_reads_kitti_but_has_no_truth(folder, tmp_path,
             prepare_data.find_data(run, root)
 
 
-@pytest.mark.parametrize("words", [["205 205 127 107"], ["205", "205", "127", "107"], ["410", "410", "254.5", "214.5", "512", "432"]])
-def test_intrinsics_are_numbers_with_commas_or_blanks(folder, tmp_path, words):
-    own_camera.main(["--out", str(tmp_path / "out"), "--intrinsics", *words, str(folder)])
+@pytest.mark.parametrize("words", ["'205 205 127 107'", "205 205 127 107", "205, 205, 127, 107", "410 410 254.5 214.5 512 432"])
+def test_intrinsics_are_numbers_with_commas_or_blanks_and_an_input_may_be_called_as_a_number(folder, tmp_path, monkeypatch, words):
+    monkeypatch.chdir(tmp_path)
+    Path("1").symlink_to(folder)
+    own_camera.main(["--out", "out", "--intrinsics", *shlex.split(words), "1"])
     assert np.allclose(intrinsics(tmp_path / "out", dataset.DATE), [[205, 0, 127], [0, 205, 107], [0, 0, 1]])
 
 

@@ -225,6 +225,7 @@ def test_a_residual_dual_network_gets_its_starting_scale_once_and_is_read_back(a
     changes = {
         "training.beyond_paper_residual": True,
         "training.beyond_paper_residual_floor": -8.5,
+        "training.beyond_paper_residual_anchor": 0.125,
         "training.beyond_paper_refined_after": 3,
         "training.hr.max_steps": 1,
         "training.beyond_paper_corridor_steps": 9,
@@ -234,9 +235,10 @@ def test_a_residual_dual_network_gets_its_starting_scale_once_and_is_read_back(a
     assert begun == [(1, 3, 192, 192)]
     assert pd.read_csv(run.training("dual", 0) / "log.csv")["feature_spread"].min() > 0
     model = load(run.weights("dual", 0))
-    heads = make_stage(run.profile, "dual", run.weights("lr", 0)).depth_net.hr_net.decoder.heads
-    assert not any(parameter.any() for head in heads for parameter in head.parameters())
-    assert model.architecture.residual and model.depth_net.floor == -8.5 and load_card(run.weights("dual", 0))["residual"] is True
+    stage, card = make_stage(run.profile, "dual", run.weights("lr", 0)), load_card(run.weights("dual", 0))
+    assert not any(parameter.any() for head in stage.depth_net.hr_net.decoder.heads for parameter in head.parameters())
+    assert model.architecture.residual and model.depth_net.floor == -8.5 and card["residual"] is card["anchored"] is True
+    assert stage.anchor == 0.125 and not load_card(run.weights("lr", 0))["anchored"]
 
 
 WEIGHTS, CARD = r"/runs/lr/seed0/model\.safetensors", r"/runs/lr/seed0/model\.json"
