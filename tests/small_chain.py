@@ -26,7 +26,7 @@ made = {{
 }}.get(name, ["results/{{p}}/tables/" + table + end for end in (".csv", ".json")] if table else [])
 for path in [out, *(pathlib.Path(m.format(p=profile, s=seed and seed[1], v=variant and variant[1])) for m in made)]:
     path.parent.mkdir(parents=True, exist_ok=True)
-    said = "method,source,abs_rel" if path.name == "main.csv" else words
+    said = "method,source,abs_rel,a1" if path.name == "main.csv" else words
     path.write_text(said)
 with open("ran.txt", "a") as log:
     log.write(" ".join([name, *([variant[1], "seed", seed[1]] if variant else [])]) + "\\n")
