@@ -196,7 +196,7 @@ class Training(Settings):
     """Weight of the mean size of what HR-Net adds to LR-Net's logits where the image is flat (`losses.anchor`). There no depth explains
     images better than another, and without it the depth of asphalt gets worse the longer stage 2 lasts."""
     beyond_paper_corridor_steps: int = Field(0, ge=0)
-    """Beyond the paper: in so many first steps of stage 1 PoseNet learns alone, from frames that it takes for a level road between
+    """Beyond the paper: in so many first steps a new PoseNet learns alone, from frames that it takes for a level road between
     walls (`stages.corridor`), the paper's PoseNet at a rate of 1e-3. Depth then begins with motions that turn; else it takes turns upon
     itself."""
     beyond_paper_refined_after: int | None = Field(None, ge=0)

@@ -110,12 +110,12 @@ class Trainer:
             model = model.to(memory_format=torch.channels_last)
         if self.settings.compile:
             model.forward = torch.compile(model.forward, dynamic=False)
-        self.corridor_steps = self.settings.beyond_paper_corridor_steps if model.low else 0
+        self.corridor_steps = model.corridor_steps
         after = self.settings.beyond_paper_refined_after
         self.unrefined_steps = self.total if after is None else 0 if getattr(model.depth_net, "residual", False) else after
         if 0 < self.total <= self.corridor_steps:
             corridor = f"beyond_paper_corridor_steps {self.corridor_steps}"
-            raise InputError(f"{corridor} leave the depth network none of stage 1's {self.total} steps: lower them, or train longer")
+            raise InputError(f"{corridor} leave the depth network none of {self.total} steps: lower them, or train longer")
         self.trained = [p for p in model.parameters() if p.requires_grad]
         optimizer = torch.optim.Adam(self.trained, betas=(self.stage.beta1, self.stage.beta2), fused=True)
         if checkpoint:

@@ -55,7 +55,7 @@ class Stage(nn.Module):
         super().__init__()
         self.depth_net, self.pose_net = depth_net, pose_net
         self.loss, self.channels_last, self.low = training.loss, training.channels_last, low
-        self.anchor = training.beyond_paper_residual_anchor
+        self.anchor, self.corridor_steps = training.beyond_paper_residual_anchor, training.beyond_paper_corridor_steps
         self.colour = training.augmentation.beyond_paper_colour
         self.hr_batch = training.augmentation.augment_first or not low
         """Whether batches have the HR size; frames that are shrunk before they are augmented have the LR size."""

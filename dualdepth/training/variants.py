@@ -115,6 +115,7 @@ def make_stage(profile: Profile, name: str, start: Path | None = None) -> Stage:
         for head in depth_net.hr_net.decoder.heads:
             nn.init.zeros_(head.weight)
     if start:
+        stage.corridor_steps = 0  # PoseNet has learned to turn
         stage.pose_net.requires_grad_(not training.hr.beyond_paper_frozen_pose)
         load_weights(start, stage.pose_net, prefix="pose_net.")
         if variant.network == "dual":

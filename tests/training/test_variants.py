@@ -229,9 +229,10 @@ def test_a_residual_dual_network_gets_its_starting_scale_once_and_is_read_back(a
         "training.beyond_paper_refined_after": 3,
         "training.hr.max_steps": 1,
         "training.beyond_paper_corridor_steps": 9,
-    }  # of stage 1 alone
-    run = after_stage_1(train={"lr": None, "dual": changes})
+    }  # of a new PoseNet alone
+    run = after_stage_1(train={"lr": None, "dual": changes, "resnet18": {"training.beyond_paper_corridor_steps": 9}})
     train_variant(run, "dual", 0)
+    assert make_stage(run.profile, "resnet18").corridor_steps == 9  # whose PoseNet is new
     assert begun == [(1, 3, 192, 192)]
     assert pd.read_csv(run.training("dual", 0) / "log.csv")["feature_spread"].min() > 0
     model = load(run.weights("dual", 0))
