@@ -25,6 +25,7 @@ from doc_commands import (
     prose,
     trust,
 )
+from own_film import write_video
 from small_nets import with_heads
 
 from dualdepth.data.odometry import write_trajectory
@@ -93,6 +94,7 @@ def small_world(tmp_path, monkeypatch, kitti_factory, write_scan, encoder):
     write_trajectory("poses/09.txt", poses)
     write_trajectory("09.txt", poses)
     cv2.imwrite("photo.jpg", rng.integers(0, 255, (120, 200, 3), np.uint8))
+    write_video("drive.mp4", rng.integers(0, 255, (2, 120, 200, 3), np.uint8))
     model = with_heads(DepthModel({"network": "hr", "encoder": encoder, "hr_size": [192, 288]}, device="cpu"))
     model.save_pretrained("work/miniature/runs/lr/seed0")
     shutil.copytree("work/miniature/runs/lr", "work/miniature/runs/dual")
