@@ -38,7 +38,7 @@ def make_run(tmp_path):
 @pytest.mark.parametrize(
     ("profile", "claim", "caution"),
     [
-        ("tiny", "not judged", "nothing here is judged"),
+        ("tiny", "not judged", "none is judged"),
         ("miniature", "reproduced", "numbers of that world, not of KITTI"),
         ("own", "not judged", "no ground truth: nothing is scored"),
     ],
