@@ -204,7 +204,7 @@ def test_each_frame_has_files_where_they_are_asked_for_and_the_first_ones_say_th
     with pytest.raises(SystemExit, match="130"):
         run(*words)
     assert sorted(path.name for path in folder.glob("*.npy")) == [f"{i:06d}.depth.npy" for i in range(1, 7)]
-    for expected in ("1 predicted\n", "0 predicted, 1 were there\n"):
+    for expected in ("1 predicted (clip.frames/000000.depth.npy, clip.frames/000000.depth.png)\n", "0 predicted, 1 were there\n"):
         assert run(*words) == 0 and capsys.readouterr().out.endswith(expected)
     assert len(list(folder.iterdir())) == 20
     depths = [np.load(folder / f"{i:06d}.depth.npy").mean() for i in range(10)]

@@ -66,7 +66,8 @@ def predict_files(
         raise InputError(f"{out}: results cannot be written ({error}); the same command then goes on where it was") from None
     there = f", {len(tasks) - len(todo)} were there" if len(todo) < len(tasks) else ""
     broken = f", {len(predictor.broken)} broken" if predictor.broken else ""
-    print(f"{out}: {predictor.made} predicted{there}{broken}")
+    names = f" ({', '.join(map(todo[0].file, todo[0].kinds))})" if len(todo) == predictor.made == 1 else ""
+    print(f"{out}: {predictor.made} predicted{names}{there}{broken}")
     return not predictor.broken
 
 

@@ -102,8 +102,7 @@ def compared(a: np.ndarray, b: np.ndarray, *, lower_is_better: bool, block: int 
     images = np.shape(a)[1]
     row = {"n": images, "better": "lower" if lower_is_better else "higher"}
     if images < 2 * block:
-        few = f"{images} snippets, too few for runs of {block}" if block > 1 else f"{images} {'image' if images == 1 else 'images'}"
-        return row | {"reason": few}
+        return row | {"reason": f"{images} snippets, too few for runs of {block}" if block > 1 else f"{images} image{'s' * (images != 1)}"}
     result = compare(a, b, block=block)
     return row | {**result._asdict(), "in_words": in_words(result, lower_is_better)}
 
