@@ -212,7 +212,7 @@ def _evaluate_depth(arguments: argparse.Namespace) -> None:
 def _evaluate_odometry(arguments: argparse.Namespace) -> None:
     """Score a trajectory, camera to world: KITTI's segments (t_err in %, r_err in degrees per 100 m), whole (ate, rpe_t in m, rpe_r in
     degrees), and SfMLearner's snippets (snippet_ate, sqrt(sum)/N in m; n snippets of consecutive frames). What the frames cannot give,
-    such as segments of a path below 100 m, is none, and why stands on stderr.
+    such as segments of a path below 100 m, is printed as none; stderr says why.
     """
     from dualdepth.data.odometry import drives_to_guard, pair_frames, read_trajectory
     from dualdepth.evaluation.odometry import SEGMENTS, snippet_errors, snippets, trajectory_errors
@@ -238,8 +238,8 @@ def _evaluate_odometry(arguments: argparse.Namespace) -> None:
 
 
 def _leak_of(arguments: argparse.Namespace, given: str | None, option: str, drives: Callable[[str], list[str]]) -> dict[str, str]:
-    """`{"leak": …}` for the result where an allowed leak is, nothing where there is none or nobody asked. `given` is what `option` names
-    the frames by, of which `drives` tells the drives. A leak that is not allowed is an `InputError`."""
+    """`{"leak": …}` for the result where an allowed leak is, nothing where there is none or nobody asked. `given` is the value of
+    `option`; `drives(given)` lists the drives of those frames. A leak that is not allowed is an `InputError`."""
     if not (arguments.weights or given):
         return {}
     if not (arguments.weights and given):
@@ -270,7 +270,11 @@ def _report(result: dict[str, float | int | str | None], json_out: str | None) -
 def _reproduce(arguments: argparse.Namespace) -> NoReturn:
     """Run all notebooks of a profile in order, and only what is not done yet."""
     from dualdepth.notebooks import run_chain
+    from dualdepth.profile import PROFILES
 
+    for word in arguments.snakemake:
+        if (PROFILES / f"{word}.yaml").is_file():
+            raise InputError(f"{word} is a profile: write --profile {word}")
     given = {name: getattr(arguments, name) for name in ROOTS}
     run_chain(arguments.profile, given, arguments.seeds, arguments.allow_leak, arguments.cores, arguments.snakemake)
 

@@ -1,4 +1,4 @@
-"""The one error a user's mistake ends in, and notes on what was taken for something."""
+"""The one error a user's mistake ends in, and notes on assumptions that the program made."""
 
 import contextlib
 import errno
@@ -36,7 +36,7 @@ def reading(path: str | Path, mend: str) -> Iterator[None]:
         raise InputError(f"{path}: no such file; {mend}") from None
     except Exception as error:
         where = getattr(error, "filename", None) or path  # the system says which folder or file may not be touched
-        reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"  # of torch it fills a screen
+        reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"  # torch's can fill a screen
         mend = "change its permissions" if isinstance(error, PermissionError) else mend
         raise InputError(f"{where}: cannot be read ({' '.join(reason.split())[:200]}); {mend}") from None
 

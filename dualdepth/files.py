@@ -42,7 +42,7 @@ _PARTIAL = re.compile(r"\..+\.[0-9a-f]{8}\.part(\.\w+)?")
 
 
 def remove_leftovers(folder: str | Path, below: bool = True) -> None:
-    """Remove the temporary files that killed writers left in a folder, and `below` it; for who holds its lock."""
+    """Remove the temporary files that killed writers left in a folder, and `below` it. Call it only while holding the folder's lock."""
     for path in list(Path(folder).glob("**/.*.part*" if below else ".*.part*")):
         if _PARTIAL.fullmatch(path.name):
             path.unlink(missing_ok=True)
@@ -90,11 +90,8 @@ def folder_digest(folder: str | Path, *patterns: str) -> str:
 @contextlib.contextmanager
 def locked(path: str | Path, patience: float = 0.0, *, inherited: bool = False) -> Iterator[None]:
     """Hold the lock file `path`, whose folder is made and which says who holds it. The system releases it when the process ends, however it
-    ends; while a live process holds it, an `InputError` says which.
-
-    Args:
-        patience: seconds to wait for a holder that may be ending.
-        inherited: the program that this process becomes (`os.exec…`) holds the lock, too.
+    ends; while a live process holds it, an `InputError` says which, after `patience` seconds for a holder that may be ending. `inherited`:
+    the program that this process becomes (`os.exec…`) holds it, too.
     """
     from filelock import FileLock, Timeout
 

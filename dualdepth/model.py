@@ -98,14 +98,10 @@ class DepthModel(nn.Module, ModelHubMixin):
         return self.depth_net(seen, scales=1).disparities[0]
 
     def predict(self, image: Image) -> np.ndarray:
-        """Depth of one image.
+        """Depth (H, W) float32 of one image of any size, at that size: 1 / the network's disparity, 0.1 to 100 in an unknown unit.
 
-        Args:
-            image: an image file, or (H, W, 3) uint8 RGB; see `Image`. Any size and aspect ratio: it is resized to the network's size.
-
-        Returns:
-            (H, W) float32, positive: depth in an unknown unit (1 / the network's disparity, so from 0.1 to 100), at the image's size.
-            An `InputError` says that the file is missing, broken or no image, or that the array is of another shape or type.
+        `image` is a file or (H, W, 3) uint8 RGB, see `Image`; it is resized to the network's size. An `InputError` says that the file is
+        missing, broken or no image, or that the array is of another shape or type.
         """
         return self.predict_batch([image])[0]
 
@@ -119,14 +115,10 @@ class DepthModel(nn.Module, ModelHubMixin):
     def disparities(
         self, images: Sequence[Image], *, batch_size: int = 4, read: Callable[[str | Path], np.ndarray] = read_image
     ) -> np.ndarray:
-        """Disparities of many images at the network's own size, with a progress bar; what the tables score.
+        """Disparities (N, h, w) float32, positive, of unknown scale, of images as of `predict`, with a progress bar; what the tables score.
 
-        Args:
-            images: files or arrays, as of `predict`; `batch_size` of them are computed together.
-            read: gives (H, W, 3) uint8 RGB of a file.
-
-        Returns:
-            (N, h, w) float32, positive, of unknown scale. An `InputError` says that an image cannot be read or a number is not finite.
+        They have the network's own size. `batch_size` images are computed together; `read` gives (H, W, 3) uint8 RGB of a file. An
+        `InputError` says that an image cannot be read or a number is not finite.
         """
         maps, _ = [], self.eval()  # whatever mode the caller left it in
         with tqdm(total=len(images), desc="predicting", unit="image", disable=len(images) <= batch_size) as bar:
@@ -148,19 +140,13 @@ class DepthModel(nn.Module, ModelHubMixin):
         """Load trained weights; those that come with the package are named on stderr.
 
         Args:
-            weights: a `.safetensors` file with its card beside it (`<name>.json`, or `config.json`), as
-                `work/<profile>/runs/<variant>/seed<n>/model.safetensors`; the folder of one; or a name on the model hub, `owner/name`;
-                left out, those that come with the package.
-            device: such as `cpu`, `cuda`, `cuda:1`, `mps`; None takes a GPU where there is one.
-            precision: `float32` or `bf16`; None takes bf16 on a CUDA GPU that has it, else float32.
+            weights: a `.safetensors` file with its card beside it (`<name>.json` or `config.json`), the folder of one, or `owner/name` on
+                the model hub; left out, those that come with the package.
+            device, precision: as of the class.
             hub: options of `huggingface_hub.snapshot_download`, such as `revision`, `cache_dir`, `token`, `local_files_only`.
 
-        Returns:
-            The model; `predict(image)` gives (H, W) float32 relative depth, `about` says what it was learned from.
-
-        Raises:
-            InputError: the weights or their card are missing, damaged, changed (sha256) or of another network, or the device or precision
-                is not to be had.
+        An `InputError` says that the weights or their card are missing, damaged, changed (sha256) or of another network, or what the class
+        says.
 
         >>> import numpy as np, dualdepth
         >>> dualdepth.load().predict(np.zeros((375, 1242, 3), np.uint8)).shape

@@ -22,10 +22,8 @@ def run_chain(profile: str, roots: Mapping[str, str], seeds: str, allow_leak: bo
     """Become Snakemake, which runs a profile's notebooks under a lock, so that two runs cannot mix; a dry run needs none. An `InputError`
     says that the profile, seeds or a root is wrong, that nothing can be written, or that another process works on the profile.
 
-    Args:
-        roots: folders and files that a user gives, by the names of `run.ROOTS`.
-        seeds: such as `0,1,2`; empty for the profile's.
-        cores, options: for Snakemake.
+    `roots` are files and folders that a user gives, by the names of `run.ROOTS`; `seeds` such as `0,1,2`, empty for the profile's; `cores`
+    and `options` are Snakemake's.
     """
     run, dry = Run(profile), any(map(DRY.fullmatch, options))
     check_roots(roots)
@@ -36,10 +34,10 @@ def run_chain(profile: str, roots: Mapping[str, str], seeds: str, allow_leak: bo
         "allow_leak": int(allow_leak),
     }
     command = [sys.executable, "-m", "dualdepth.notebooks", "snakemake", "--quiet", *(["host", "progress"] if dry else ["all"])]
-    command += ["--cores", cores, "--nolock", "--rerun-incomplete"]
     if shutil.which("nvidia-smi"):
         command += ["--resources", "gpu=1"]  # one training at a time has the GPU to itself
-    command += [*options, "--config", f"given={json.dumps(config, ensure_ascii=False)}"]  # Snakemake reads YAML, and strips outer quotes
+    command += ["--cores", cores, "--nolock", "--rerun-incomplete", *options]
+    command += ["--config", f"given={json.dumps(config, ensure_ascii=False)}"]  # Snakemake reads YAML, and strips outer quotes
     if not os.access(os.path.expanduser("~"), os.W_OK | os.X_OK):  # as under `docker run --user`
         for name in ("XDG_CACHE_HOME", "MPLCONFIGDIR", "IPYTHONDIR", "JUPYTER_RUNTIME_DIR"):
             os.environ.setdefault(name, str(run.root / "work/home" / name.lower()))

@@ -47,7 +47,7 @@ class Profile(Settings):
         if (self.data.source == "miniature") != (self.world is not None):
             raise ValueError("data.source: miniature needs a section `world`, and only it")
         for name in self.train:
-            if self.train[name] or (self.variant(name).set and name != "lr"):  # with which it is checked
+            if self.train[name] or (self.variant(name).set and name != "lr"):  # `of_variant` validates the settings that it changes
                 self.of_variant(name)
             start = self.variant(name).starts_from
             if start is not None and start not in self.train:
@@ -171,7 +171,7 @@ def _read(name: str) -> tuple[Path, dict[str, Any]]:
         return path, values
     if base not in known:
         raise InputError(f"{path}: extends {base!r}, which is no shipped profile; name one of {', '.join(known)}")
-    # what its numbers are numbers of, and what of them is judged, a profile says itself
+    # each profile says itself what its numbers describe and what of them is judged
     return path, _laid_over({k: v for k, v in _read(base)[1].items() if k not in ("about", "verdicts")}, values)
 
 
@@ -190,7 +190,7 @@ def _mistake(error: Any) -> str:
 
 
 def _unknown(setting: str) -> str:
-    """That there is no such setting, and the nearest one: its last word is the same, or alike in the same section, or alike in another.
+    """That there is no such setting, and the nearest one: with the same last word, else a similar one in the same section, else anywhere.
     Of a known one whose dots were written, how sections are written."""
     (section, *entry), last = setting.split(".")[:2], setting.split(".")[-1]
     known = {name: name.split(".") for name in _settings(Profile, entry) if name.startswith("variants.") == (section == "variants")}

@@ -30,8 +30,8 @@ class Report(NamedTuple):
 
     run: Run
     headline: str  # What was learned, in a sentence.
-    caution: str  # What the numbers are not; empty for the paper's profile.
-    claims: pd.DataFrame  # `judge_claims`; without the column `verdict` where nothing is judged.
+    caution: str  # How far the numbers may be trusted; empty for the paper's profile.
+    claims: pd.DataFrame  # `judge_claims`.
     numbers: pd.DataFrame  # `compare_numbers`.
     tables: dict[str, pd.DataFrame]
     more: dict[str, pd.DataFrame]  # Of odometry: whole trajectories by alignment, and PoseNet against the controls.
@@ -68,7 +68,7 @@ def make_report(run: Run) -> Report:
     used |= {"frozen_pose": training.hr.beyond_paper_frozen_pose, "refined": training.beyond_paper_refined_after is not None}
     used |= {"augmented": training.augmentation.beyond_paper_flip or training.augmentation.beyond_paper_colour}
     beyond = [_WORDS[name] for name, on in used.items() if on]
-    caution = " ".join([f"What these are numbers of: {run.profile.about}. Of them {words}", *beyond]) if words else ""
+    caution = " ".join([f"What these numbers describe: {run.profile.about}. Of them {words}", *beyond]) if words else ""
     if not run.profile.data.has_truth:
         caution = "An own camera has no ground truth: nothing is scored and nothing is judged. What was learned shows in the pictures."
     if leaks:

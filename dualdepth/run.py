@@ -195,7 +195,7 @@ class Run:
 
 
 def open_run(profile: str, seeds: object) -> tuple[Run, list[int]]:
-    """The run and the seeds of a notebook's parameters; what the profile's numbers are numbers of is printed."""
+    """The run and the seeds of a notebook's parameters; prints what the profile's numbers describe."""
     run = Run(profile)
     print(run.profile.about)
     return run, parse_seeds(str(seeds))

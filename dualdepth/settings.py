@@ -142,7 +142,7 @@ class Loss(Settings):
     alpha: float = 0.85
     """Share of SSIM in the photometric loss (paper)."""
     mean_disparity: float = 1.0
-    """Spatial mean that each image's disparity is divided to, as DDVO writes it; its code has 10, where a unit of translation moves pixels
+    """Spatial mean to which each image's disparity is scaled, as DDVO writes it; its code has 10, where a unit of translation moves pixels
     ten times as far as a unit of rotation, and rotation is learned last."""
     scales: int = Field(4, ge=1, le=4)
     """Resolutions 1/1, 1/2, 1/4, 1/8 (paper)."""
@@ -197,8 +197,8 @@ class Training(Settings):
     images better than another, and without it the depth of asphalt gets worse the longer stage 2 lasts."""
     beyond_paper_corridor_steps: int = Field(0, ge=0)
     """Beyond the paper: in so many first steps a new PoseNet learns alone, from frames that it takes for a level road between
-    walls (`stages.corridor`), the paper's PoseNet at a rate of 1e-3. Depth then begins with motions that turn; else it takes turns upon
-    itself."""
+    walls (`stages.corridor`), the paper's PoseNet at a rate of 1e-3. Depth then begins with motions that turn; else it
+    imitates what the camera's turns should explain."""
     beyond_paper_refined_after: int | None = Field(None, ge=0)
     """Beyond the paper: after so many steps, and where stage 2 begins with LR-Net's depth from the first, PoseNet's poses are refined by
     direct image alignment before images are compared (`refinement.py`), and PoseNet learns from the difference; None never does. Before
@@ -239,7 +239,13 @@ class Evaluation(Settings):
     """What is resized to the ground truth's size; SfMLearner and GeoNet resize depth."""
     crop: Literal["garg", "eigen", "none"] = "garg"
     min_depth: float = Field(1e-3, gt=0)
-    max_depth: float = Field(80.0, gt=0)
+    max_depth: float = Field(80.0, gt=0, allow_inf_nan=False)
+
+    @model_validator(mode="after")
+    def _range(self) -> "Evaluation":
+        if not self.min_depth < self.max_depth:
+            raise ValueError(f"evaluation.min_depth {self.min_depth:g} is not below max_depth {self.max_depth:g}")
+        return self
 
 
 class Variant(Design, Settings):

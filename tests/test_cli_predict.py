@@ -216,6 +216,15 @@ def test_a_video_that_ends_early_gives_what_it_has_and_says_so(clip, run, out, c
     assert run(clip) == 1 and f"broken: {clip}: " in capsys.readouterr().err and (out / "clip.side.mp4").is_file()
 
 
+def test_a_shorter_film_of_the_same_name_leaves_no_frames_of_the_longer_one(clip, run, out):
+    assert run(clip, "--save", "npy,depth") == 0
+    (out / "clip.frames/note.npy").touch()
+    write_video(clip, [wall(91, 161)] * 3, "MJPG")
+    assert run(clip, "--save", "npy") == 0
+    left = {path.name for path in (out / "clip.frames").iterdir()}
+    assert left == {"note.npy", *(f"{i:06d}.depth.npy" for i in range(3)), *(f"{i:06d}.depth.png" for i in range(10))}
+
+
 def test_a_video_that_the_codec_does_not_take_stops_no_other(clip, photos, run, capsys, monkeypatch):
     monkeypatch.setattr("dualdepth.inference.results.CODEC", "none")
     assert run(clip, photos) == 1

@@ -122,6 +122,7 @@ BAD_SETTINGS = [
     ("sedes: [1]\n", "unknown setting sedes; did you mean seeds"),
     ("training: {lr: {epoch: 3}}\n", "unknown setting training.lr.epoch; did you mean training.lr.epochs"),
     ("training: {batch_size: 1}\n", "unknown setting training.batch_size; did you mean training.lr.batch_size"),
+    ("evaluation: {min_depth: 90}\n", "evaluation.min_depth 90 is not below max_depth 80"),
     ("training: {weight_decay: 1}\n", "unknown setting training.weight_decay; docs/settings.md lists all"),
     ("training: {hr_size: [192, 288]}\n", "unknown setting training.hr_size; did you mean data.hr_size"),
     ("training.lr.epochs: 5\n", "training.lr.epochs: sections are nested; write training: {lr: {epochs: …}}"),

@@ -10,11 +10,18 @@ import sys
 import pytest
 from small_chain import SmallChain
 
+from dualdepth.cli import main
 from dualdepth.files import locked
 from dualdepth.run import project_root
 
 pytestmark = pytest.mark.slow
 TABLES = sorted([path.stem for path in (project_root() / "notebooks").glob("*_table_*.ipynb")] + ["13_figures", "14_report"])
+
+
+def test_a_profile_named_without_its_option_is_no_step(capsys):
+    with pytest.raises(SystemExit):
+        main(["reproduce", "--cores", "1", "tiny"])
+    assert "write --profile tiny" in capsys.readouterr().err
 
 
 @pytest.fixture(scope="module")

@@ -20,14 +20,10 @@ LARGEST = 4 * 10**9
 
 
 def save_ground_truth(path: str | Path, maps: Iterable[np.ndarray], names: Iterable[str] | None = None, listed: int = 0) -> int:
-    """Write depth maps to a compressed npz, atomically, one array per image in the given order and without pickle; gives their number.
+    """Write depth maps (H, W) in metres, 0 for none, of any sizes, to a compressed npz, atomically and without pickle; gives their number.
 
-    Args:
-        path, maps: the file, and (H, W) depth in metres each, 0 where there is no measurement; sizes may differ. May be a generator.
-        names: a key for each map; else its number as `%06d`. The same maps and names give the same bytes.
-        listed: frames of the list in which the keys are places, 0 where there is none.
-
-    An `InputError` says that the file cannot be written.
+    The keys are `names`, else the maps' numbers as `%06d`; the same maps and names give the same bytes. `listed` is the number of frames of
+    the list in which the keys are places, 0 where there is none. An `InputError` says that the file cannot be written.
     """
     path, keys = Path(path), names or map("{:06d}".format, itertools.count())
     try:

@@ -47,17 +47,11 @@ def velodyne_projection(root: str | Path, date: str, camera: str = "image_02") -
 
 
 def depth_from_scan(scan: np.ndarray, projection: np.ndarray, size: tuple[int, int], *, camera_z: bool = False) -> np.ndarray:
-    """Project a laser scan to a sparse depth map, equal to the field's code bit for bit.
+    """Project a laser scan to a sparse depth map (H, W) float32 in metres, 0 for none, equal to the field's code bit for bit.
 
-    Args:
-        scan: (N, 4) points in the laser's frame, metres.
-        projection: (3, 4) laser to pixels, see `velodyne_projection`.
-        size: (height, width) of the map in pixels.
-        camera_z: store the depth along the camera's axis; else the laser's forward coordinate, as in all published
-            numbers of this lineage (the two differ by the lever arm of about 0.27 m).
-
-    Returns:
-        (H, W) float32 in metres, 0 where there is no measurement.
+    Of points (N, 4) in the laser's frame, metres; `projection` (3, 4), see `velodyne_projection`; `size` (height, width) in pixels.
+    `camera_z` stores the depth along the camera's axis; else the laser's forward coordinate, as in all published numbers of this lineage
+    (the two differ by the lever arm of about 0.27 m).
     """
     height, width = size
     points = scan[scan[:, 0] >= 0].astype(np.float64)

@@ -62,17 +62,10 @@ def crop_intrinsics(matrix: np.ndarray, crop: Crop, size: tuple[int, int]) -> np
 def augment(
     frames: Sequence[np.ndarray], matrix: np.ndarray, size: tuple[int, int], settings: Augmentation, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """One draw for all frames of a triplet.
+    """One draw for all frames of a triplet, (H, W, 3) uint8 of one size: (len(frames), h, w, 3) uint8, and the view's intrinsics (3, 3).
 
-    Args:
-        frames: (H, W, 3) uint8 each, of one size.
-        matrix: intrinsics (3, 3) of the raw frame.
-        size: HR size (height, width). With `augment_first` off (the order the paper calls worse) frames are first shrunk to a
-            third of it, the LR size, and cropped there; the result then has the LR size.
-        settings, rng: of the augmentation, and what fixes the draw.
-
-    Returns:
-        (len(frames), h, w, 3) uint8 and the view's intrinsics (3, 3) float64.
+    `matrix` are those of the raw frame; `size` is the HR size (height, width). With `augment_first` off (the order the paper calls worse)
+    frames are first shrunk to a third of it, the LR size, and cropped there; the result then has the LR size. `rng` fixes the draw.
     """
     if not settings.augment_first:
         size = (size[0] // 3, size[1] // 3)

@@ -31,15 +31,11 @@ def drive_triplets(
     static: Collection[tuple[str, int]] = (),
     test_scenes: Collection[str] = (),
 ) -> list[Frame]:
-    """Targets whose neighbours in number, of the same drive and camera, are there and not static.
+    """Targets whose neighbours in number, of the same drive and camera below the KITTI raw folder `root`, are there and not static.
 
-    Args:
-        root: KITTI raw folder.
-        drives: `date/date_drive_XXXX_sync`, with `:image_00` behind it to read that camera.
-        cameras: camera folders in order of preference for the other drives; the first that a drive has is read.
-        static: (drive, index) of frames where the camera stands still.
-        test_scenes: drives that hold test frames; naming one in `drives` is an `InputError`, as are drives without frames (all are
-            named) and no triplet at all.
+    `drives` are `date/date_drive_XXXX_sync`, with `:image_00` behind it to read that camera; for the others `cameras` are folders in order
+    of preference, of which the first that a drive has is read. `static` are (drive, index) of frames where the camera stands still. A drive
+    of `test_scenes`, which hold test frames, is an `InputError`, as are drives without frames (all are named) and no triplet at all.
     """
     chosen = [entry.partition(":")[::2] for entry in drives]
     leaked = sorted({drive for drive, _ in chosen} & set(test_scenes))

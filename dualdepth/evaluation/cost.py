@@ -40,12 +40,10 @@ def count(model: torch.nn.Module, *inputs: torch.Tensor, **options: Any) -> Cost
 
 
 def latency(model: torch.nn.Module, *inputs: torch.Tensor, repeats: int = 10, precision: Precision = "float32", **options: Any) -> Latency:
-    """Measure `model(*inputs, **options)` in eval mode, in which it stays, on the device of its inputs.
+    """Time and memory of `model(*inputs, **options)` in eval mode, in which it stays, on the device of its inputs.
 
-    Args:
-        model, *inputs: on one device; a batch as it will be used, such as (1, 3, 384, 1248).
-        repeats: timed runs, of which the median counts. One before them chooses kernels and fills caches; its memory is what is measured.
-        precision: `bf16` runs under autocast, with the weights in float32.
+    The median of `repeats` timed runs counts; one before them chooses kernels and fills caches, and its memory is what is measured. `bf16`
+    runs under autocast, with the weights in float32.
     """
     device = inputs[0].device
     os.environ.setdefault("KINETO_LOG_LEVEL", "99")  # torch's profiler would print when it starts and stops

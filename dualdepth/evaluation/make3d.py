@@ -52,12 +52,9 @@ def evaluate_make3d(
 ) -> pd.DataFrame:
     """Score depth predictions against laser grids, photo by photo: the frame of `evaluate` with these `METRICS`, of at most 6405 cells.
 
-    Args:
-        predictions: (h, w) each, depth of what is `visible` by the convention, positive, of any size and scale.
-        grids: (55, 305) metres each.
-        median_scaling: see `Protocol`; else predictions are in metres already.
-
-    An `InputError` says that the numbers differ, a prediction is not finite and positive, or no photo has a valid cell.
+    Predictions are (h, w) depths of what is `visible` by the convention, positive, of any size, and of any scale unless `median_scaling` is
+    off; grids (55, 305) metres. An `InputError` says that the numbers differ, a prediction is not finite and positive, or no photo has a
+    valid cell.
     """
     shape, scored = (GRID_SHAPE, ROWS) if convention == "whole" else ((ROWS.stop - ROWS.start, GRID_SHAPE[1]), np.s_[:])
     cells = [cv2.resize(prediction, shape[::-1], interpolation=cv2.INTER_NEAREST)[scored] for prediction in predictions]

@@ -36,14 +36,11 @@ def snippets(poses: np.ndarray, length: int, frames: np.ndarray | None = None) -
 
 
 def snippet_errors(truth: np.ndarray, prediction: np.ndarray) -> pd.DataFrame:
-    """SfMLearner's absolute trajectory error of each snippet; rotations are neither aligned nor scored.
+    """SfMLearner's absolute trajectory error of S snippets (S, L, 4, 4) of the same frames, in metres; rotations are not scored.
 
-    Of S snippets (S, L, 4, 4) of the same frames. Each is moved to its first frame and scaled by s = Σ⟨gt, pred⟩ / Σ⟨pred, pred⟩; one that
-    does not move keeps scale 1.
-
-    Returns:
-        S rows in metres: `ate` = √(Σ‖s·pred − gt‖²) / L, which is no RMSE but what the field prints as mean and population standard
-        deviation; `rmse` = √(Σ‖s·pred − gt‖² / L).
+    Each is moved to its first frame and scaled by s = Σ⟨gt, pred⟩ / Σ⟨pred, pred⟩; one that does not move keeps scale 1. S rows: `ate` =
+    √(Σ‖s·pred − gt‖²) / L, which is no RMSE but what the field prints as mean and population standard deviation; `rmse` = √(Σ‖s·pred − gt‖²
+    / L).
     """
     gt, pred = relative(truth)[..., :3, 3], relative(prediction)[..., :3, 3]
     squares = (pred * pred).sum((1, 2))
@@ -88,13 +85,11 @@ def aligned(prediction: np.ndarray, truth: np.ndarray, how: str = "7dof") -> np.
 
 
 def segment_errors(truth: Trajectory, prediction: Trajectory) -> pd.DataFrame:
-    """KITTI's errors of segments of 100 to 800 m, a row for each whose two ends are predicted.
+    """KITTI's errors of segments of 100 to 800 m whose two ends are predicted, a row each: `first` and `last` (frame numbers), `length`
+    (m), `t_err` (% of the length), `r_err` (degrees per 100 m).
 
     Segments start at every tenth pose of the whole ground truth and end at the first whose distance along the true path is more than the
     length. The prediction is aligned already, and its frames are numbered as the truth's.
-
-    Returns:
-        `first` and `last` (frame numbers), `length` (m), `t_err` (% of the length), `r_err` (degrees per 100 m).
     """
     steps = np.linalg.norm(np.diff(truth.poses[:, :3, 3], axis=0), axis=1)
     distance = np.concatenate([[0.0], np.cumsum(steps)])

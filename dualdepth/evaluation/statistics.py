@@ -36,15 +36,11 @@ class Comparison(NamedTuple):
 
 
 def compare(a: np.ndarray, b: np.ndarray, *, seed: int = 0, samples: int = 10000, block: int = 1) -> Comparison:
-    """Compare values of two methods, of the same seeds and images, by a 95 % percentile bootstrap over images.
+    """Compare values (S seeds, N images) of two methods, in the same order, by a 95 % percentile bootstrap over images.
 
-    Images are drawn with replacement, both methods' values of an image together, so what makes an image hard cancels.
-
-    Args:
-        a, b: (S, N) values of S seeds and N images, such as the `abs_rel` columns of `evaluate`, in the same order.
-        seed, samples: of the draws; the same seed gives the same interval.
-        block: draw runs of so many neighbours, for values that depend on their neighbours' (circular block bootstrap, Politis and
-            Romano 1992).
+    Images are drawn with replacement, both methods' values of an image together, so what makes an image hard cancels. The same `seed` gives
+    the same `samples` draws. `block` draws runs of so many neighbours, for values that depend on their neighbours' (circular block
+    bootstrap, Politis and Romano 1992).
     """
     a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
     difference, images = a.mean(0) - b.mean(0), a.shape[1]

@@ -25,22 +25,19 @@ MEND = "try the versions of environment.lock"
 
 
 def export_onnx(weights: str | Path, out: str | Path, frames: Sequence[str | Path] = ()) -> str:
-    """Write the depth network of a training as an ONNX file.
+    """Write the depth network of a training as an ONNX file; gives two lines: what was written, and how near to PyTorch it is.
 
-    It takes the image itself, so that nobody has to average it for LR-Net; what does not shape the finest disparity, such as the decoder
-    of a dual network's LR-Net, is not part of it. The file is compared on `frames`, or on three made-up images. Returns what was written
-    and how near to PyTorch it is, in two lines.
-
-    Raises:
-        InputError: a package is missing; the weights, their card or a frame cannot be read; nothing can be written at `out`; the
-            network cannot be exported; or ONNX Runtime's disparities differ from PyTorch's by more than `TOLERANCE`. No file is left.
+    It takes the image itself, so that nobody has to average it for LR-Net; what does not shape the finest disparity, such as the decoder of
+    a dual network's LR-Net, is left out. The file is compared on `frames`, or on three made-up images. An `InputError` says that a package
+    is missing, that weights, card or a frame cannot be read, that nothing can be written at `out`, that the network cannot be exported, or
+    that ONNX Runtime differs from PyTorch by more than `TOLERANCE`. No file is left then.
     """
     for name in ("onnx", "onnxscript", "onnxruntime"):
         if importlib.util.find_spec(name) is None:
             raise InputError(f"package {name} is not installed; `pip install onnx onnxscript onnxruntime` (here, `make env`) brings it")
     out = Path(out)
     if out.suffix != ".onnx" or out.is_dir():
-        raise InputError(f"{out}: is no name for an ONNX file; give --out one that ends in .onnx")
+        raise InputError(f"{out}: does not end in .onnx or is a folder; give --out the name of a file that ends so")
     model = load(weights, "cpu", "float32")
     rng, (height, width) = np.random.default_rng(0), model.size
     blots = (rng.integers(0, 255, (height // 16, width // 16, 3), np.uint8) for _ in range(3))

@@ -1,4 +1,5 @@
-"""Depth of files: which are meant, what is left to do by make's rule, and a pipeline that reads ahead, computes in batches, writes behind.
+"""Depth of files: which inputs are meant, which results are missing or out of date, and a pipeline that reads ahead, computes in
+batches and writes behind.
 
 A result is kept if it is newer than the time since which its input and all options are the same.
 """
@@ -30,7 +31,7 @@ from dualdepth.model import DepthModel
 
 STAMP = "predictions.json"
 """In the folder of results: the options that shaped them and since when (ns) these are the same; and, by the name of its results, each
-input's path, its own time (ns) and since when it has that. An input replaced by an older file so counts as changed."""
+input's path, its own time (ns) and since when it has that. So an input replaced by an older file counts as changed."""
 LONGEST = 120  # Bytes of a result's name before its ending; file systems allow 255, and a temporary name is longer.
 GPU_BATCH = 16  # Images at a time on a GPU, halved until they fit; on a CPU one at a time is as fast as several.
 WORKERS = min(8, os.cpu_count() or 1)  # Threads that read, draw and write.
@@ -223,9 +224,10 @@ class Predictor:
             self._check_camera(task, video.size)
         except InputError as error:
             return self.tell(error)
-        side, first = "side" in task.kinds, []
+        side, first, numbers = "side" in task.kinds, [], []
 
         def drawn(item: Item) -> np.ndarray | None:
+            numbers.append(item.number)
             first.append(item) if item.number == 0 else self._save(item)
             return picture(item.depth, item.ends, self.style.unit, item.image) if side else None
 
@@ -235,6 +237,10 @@ class Predictor:
                 write_video(self.out / task.file("side"), video.rate, bar) if side else deque(bar, maxlen=0)
             except NotImplementedError as error:
                 return self.tell(f"{task.path}: {error}")
+        endings = tuple(SUFFIXES[kind] for kind in task.kinds)
+        for path in (self.out / f"{task.name}.frames").glob("[0-9]*.*"):  # of a longer film that had this name
+            if path.name.endswith(endings) and (number := path.name.split(".")[0]).isdecimal() and int(number) > max(numbers):
+                path.unlink()
         self._save(first[0])
         self.made += 1
         if video.missing:

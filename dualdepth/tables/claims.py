@@ -56,7 +56,7 @@ class Claim(NamedTuple):
     metrics: tuple[str, ...] = ("abs_rel", "a1")
     needs: "Claim | None" = None  # What must hold as well: to gain more is nothing without a gain.
     of_paper: bool = True  # Whether the paper says so; else the table alone has it.
-    least: float = 0.0  # What `a` must reach as well, for a metric where higher is better: to do better what neither can do is nothing.
+    least: float = 0.0  # What `a` must reach as well, where higher is better; to be better at what neither can do proves nothing.
     instead: tuple[str, str] | None = None  # They stand for `a`, `b` where one is not trained, or one alone began with ImageNet's.
     times: float = 1.0  # How many times `b`'s mean, a share, `a` must reach as well, or so many times fewer failures.
 
@@ -128,7 +128,7 @@ def _judge(tables: dict[str, pd.DataFrame], claim: Claim, metric: str) -> tuple[
         return {}, Verdict(NOT_RUN, row["reason"])
     found = Comparison(*(float(row[name]) for name in Comparison._fields[:-1]), int(row["seeds"]))
     verdict = judge_claim(found, lower_is_better=row["better"] == "lower")
-    fewer = 1 - (1 - found.mean_b) / claim.times  # of a large share twice as much cannot be
+    fewer = 1 - (1 - found.mean_b) / claim.times  # a share above one half cannot double
     bar = max(claim.least, min(claim.times * found.mean_b, fewer)) if claim.least or claim.times > 1 else -np.inf
     if verdict.word == REPRODUCED and found.mean_a < bar:
         verdict = Verdict(NOT_REPRODUCED, f"better, but {found.mean_a:.3f} is below the {bar:.3f} that counts as seeing them")

@@ -68,9 +68,8 @@ def _methods(run: Run, scores: Scores) -> dict[str, str]:
 def odometry_table(run: Run, scores: Scores) -> pd.DataFrame:
     """The paper's rows, then ours and the controls, once for each snippet length (`frames`, the paper's column "#").
 
-    Returns:
-        Besides the paper's columns `snippet_ate_mean_SS` and `snippet_ate_std_SS` (over the snippets of sequence SS, metres): true RMSE
-        of the snippets, errors of the whole trajectory aligned with 7dof, `n_SS` snippets, and standard deviations over seeds.
+    Besides the paper's columns `snippet_ate_mean_SS` and `snippet_ate_std_SS` (over the snippets of sequence SS, metres): true RMSE of the
+    snippets, errors of the whole trajectory aligned with 7dof, `n_SS` snippets, and standard deviations over seeds.
     """
     rows, train = [], [] if run.profile.world else [f"sequences {' '.join(run.profile.odometry_sequences()[0])}"]
     for length in trajectories.LENGTHS:

@@ -82,13 +82,10 @@ def map_rows(
     unit: str = "m",
     errors: Collection[str] = (),
 ) -> Picture:
-    """Frames in rows: image, then one map for each name in `maps`.
+    """Frames in rows: each image (H, W, 3), then one map (H, W) for each name in `maps`, 0 = unknown.
 
-    Args:
-        images, titles: (H, W, 3) each.
-        maps: (H, W) depth each, in metres or in another `unit`, 0 = unknown.
-        windows: rows and columns of each frame that are shown, instead of all.
-        errors: names of the maps that are relative errors instead, NaN = unknown.
+    Maps are depth in metres or in another `unit`; those named in `errors` are relative errors, NaN = unknown. `windows` are the rows and
+    columns of each frame that are shown, instead of all.
     """
     last = [name for name in maps if name not in errors][-1:]  # which has the colour bar
     windows = windows or [np.s_[:, :]] * len(images)

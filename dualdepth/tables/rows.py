@@ -63,7 +63,7 @@ def with_paper(name: str, rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
 def paired(
     scores: Scores, a: str, b: str, metrics: Iterable[str] = ("abs_rel", "a1"), *, part: str | None = None, block: int = 1, of: str = ""
 ) -> list[dict[str, Any]]:
-    """Rows of `COMPARISON`: two methods over the images that both have, image by image and seed by seed; a is said to be better.
+    """Rows of `COMPARISON`: two methods over the images that both have, image by image and seed by seed; `a` is claimed to be better.
 
     A method that knows no seed stands against every seed of the other. For `block` see `compare`.
     """

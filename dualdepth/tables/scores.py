@@ -245,13 +245,11 @@ def collect(
     reason: str | None = None,
     drives: Sequence[str] | None = None,
 ) -> Scores:
-    """Scores of trainings, of every seed.
+    """Scores of trainings, of every seed; variants that the profile does not train go to `missing`.
 
-    Args:
-        run, variants, seeds: those that the profile does not train go to `missing`.
-        score: gives the rows of a training, by image, or by (image, part).
-        reason: why nothing can be scored, else empty; None asks whether the run's frames have a ground truth.
-        drives: that the scored images are of, for the guard against leaks; None means those of the depth tables.
+    `score` gives the rows of a training, by image, or by (image, part). `reason` is why nothing can be scored, or empty; None asks whether
+    the run's frames have a ground truth. `drives` are those of the scored images, for the guard against leaks; None means the depth
+    tables'.
     """
     if reason is None:
         reason = "" if run.profile.data.has_truth else NO_TRUTH

@@ -75,9 +75,8 @@ def predicted_motions(training: Trained, entry: str, refine: bool = False) -> np
 def follow(training: Trained, entry: str, refine: bool = False) -> pd.DataFrame:
     """Score a training's PoseNet on a test sequence, and write its trajectory to `results/<profile>/trajectories`, in KITTI's format.
 
-    Returns:
-        Rows by (image, part): of parts such as "09, 3 frames" each snippet's `ate` and `rmse` in metres; of parts such as "09, 7dof", image
-        0, what `trajectory_errors` says of the whole trajectory.
+    Rows by (image, part): of parts such as "09, 3 frames" each snippet's `ate` and `rmse` in metres; of parts such as "09, 7dof", image 0,
+    what `trajectory_errors` says of the whole trajectory.
     """
     motions, truth = predicted_motions(training, entry, refine), true_trajectory(training.run, entry)
     poses = chain(motions)

@@ -209,7 +209,7 @@ class Trainer:
                     torch.compiler.set_stance("force_eager")
                     output = self.model(batch, in_a_corridor, refine)
                 self._check_finite("loss", output.losses.total, step, names)
-                self._check_finite("pose", output.poses.sum(), step, names)  # its pixels count as unseen, so the loss is blind to it
+                self._check_finite("pose", output.poses.sum(), step, names)  # with it all pixels count as unseen, and the loss stays finite
                 accelerator.backward(output.losses.total / accumulate)
             if logged:
                 statistics.append(output.statistics)
