@@ -19,10 +19,14 @@ from dualdepth.errors import InputError
 def atomic_path(path: str | Path) -> Iterator[Path]:
     """Give a temporary sibling of `path`; it takes the name `path` when the block ends well.
 
-    The suffix is kept, since image and array writers choose their format by it.
-    On any exception the temporary file is removed and `path` stays as it was.
+    The suffix is kept, since image and array writers choose their format by it. On any exception the temporary file is removed and `path`
+    stays as it was. The file that a symbolic link names is replaced, not the link; a device or a pipe is given itself.
     """
     path = Path(path)
+    if path.is_char_device() or path.is_fifo():
+        yield path
+        return
+    path = Path(os.path.realpath(path))
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f".{path.stem}.{uuid.uuid4().hex[:8]}.part{path.suffix}")
     try:

@@ -50,6 +50,18 @@ def test_a_file_appears_under_its_name_only_when_it_is_whole(tmp_path):
     assert np.load(tmp_path / "deep" / "seed0.npy").tolist() == [0, 1, 2]
 
 
+def test_what_a_link_names_is_replaced_and_a_pipe_is_written_itself(tmp_path):
+    (tmp_path / "real.txt").write_text("old")
+    (tmp_path / "link.txt").symlink_to("real.txt")
+    with atomic_path(tmp_path / "link.txt") as partial:
+        partial.write_text("new")
+    assert (tmp_path / "link.txt").is_symlink() and (tmp_path / "real.txt").read_text() == "new"
+    os.mkfifo(tmp_path / "pipe")
+    with atomic_path(tmp_path / "pipe") as place:
+        assert place == tmp_path / "pipe"
+    assert place.is_fifo() and len(list(tmp_path.iterdir())) == 3
+
+
 def test_a_failure_leaves_the_file_before_it_and_nothing_else(tmp_path):
     path = tmp_path / "a.txt"
     path.write_text("old")

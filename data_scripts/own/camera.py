@@ -19,6 +19,7 @@ BOARDS, MOST_BOARDS = 8, 60  # Views of the chessboard, at least and at most: mo
 REPROJECTION = 1.0
 """Root mean square error of the chessboard's corners in pixels, at most; in frames wider than 1000 pixels a thousandth of the width."""
 KEYS = ("P_rect_02", "P2", "P_rect_00", "P0")  # of KITTI's calibration files, in order of preference
+JSON_KEYS = {"fx", "fy", "cx", "cy", "width", "height", "distortion", "field_of_view_degrees", "origin"}
 
 
 def camera_of_matrix(matrix: np.ndarray, size: tuple[int, int], origin: str, distortion: tuple[float, ...] = ()) -> Camera:
@@ -68,7 +69,9 @@ def camera_of_file(path: str | Path, size: tuple[int, int]) -> Camera:
     path, said, distortion, source = Path(path), None, (), f"read from {Path(path).name}"
     if path.suffix.lower() != ".json":
         values = read_calibration(path)
-        key = next((k for k in KEYS if k in values), KEYS[0])
+        if not (key := next((k for k in KEYS if k in values), None)):
+            mend = 'of another format write JSON: {"fx": …, "fy": …, "cx": …, "cy": …, "width": …, "height": …, "distortion": […]}'
+            raise InputError(f"{path}: has none of KITTI's matrices {', '.join(KEYS)}; {mend}")
         camera = camera_of_matrix(calibration_entry(values, key, 12, path).reshape(3, 4), size, f"given; {source}")
         if (rectified := key.replace("P", "S")) in values:
             said = tuple(calibration_entry(values, rectified, 2, path)[::-1].round().astype(int))
@@ -76,6 +79,9 @@ def camera_of_file(path: str | Path, size: tuple[int, int]) -> Camera:
         with reading(path, 'give {"fx": …, "fy": …, "cx": …, "cy": …}, perhaps with "width" and "height", in pixels'):
             values = json.loads(path.read_text(encoding="utf-8-sig"))
             values = values.get("camera", values)
+            if unknown := sorted({*values} - JSON_KEYS):
+                known = ", ".join(sorted(JSON_KEYS))
+                raise InputError(f"{path}: unknown {', '.join(unknown)}; known are {known}: rename or remove the others")
             distortion = tuple(float(v) for v in values.get("distortion", ()))
             said = (int(values["height"]), int(values["width"])) if {"height", "width"} & {*values} else None
             numbers = (float(values[k]) for k in ("fx", "fy", "cx", "cy"))

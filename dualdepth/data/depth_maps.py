@@ -49,9 +49,10 @@ class DepthMaps(Sequence):
         self._stacked, announced = None, max(info.file_size for info in archive.zip.infolist())
         if announced > LARGEST:
             raise InputError(f"{path}: refused, since it unpacks to {announced / 1e9:.1f} GB; {MEND}")
-        if self.names == [FIELD_KEY]:
-            values = self._member(FIELD_KEY)
-            values = values[:, 0] if values.ndim == 4 and values.shape[1] == 1 else values
+        if len(self.names) == 1:  # all maps under one key, the field's or, of numpy.savez, arr_0
+            values = self._member(self.names[0])
+            if values.ndim == 4:
+                values = values[:, 0] if values.shape[1] == 1 else values[..., 0] if values.shape[3] == 1 else values
             if values.dtype == object or values.ndim == 3:
                 self._stacked, self.names = values, [f"{number:06d}" for number in range(len(values))]
 

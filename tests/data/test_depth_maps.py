@@ -27,7 +27,8 @@ def test_saved_maps_come_back_in_order_as_plain_float32_and_the_same_bytes_twice
 def test_order_is_the_files_even_where_keys_do_not_sort(tmp_path):
     path = tmp_path / "plain.npz"
     maps = [np.full((2, 2), float(i)) for i in range(12)]
-    for write in (lambda: np.savez(path, *maps), lambda: np.savez(path, data=maps), lambda: np.savez(path, data=np.array(maps)[:, None])):
+    ways = [lambda: np.savez(path, *maps), lambda: np.savez(path, data=maps), lambda: np.savez(path, data=np.array(maps)[:, None])]
+    for write in (*ways, lambda: np.savez(path, maps), lambda: np.savez(path, data=np.array(maps)[..., None])):
         write()
         assert [depth[0, 0] for depth in depth_maps.load_ground_truth(path)] == list(range(12))
 

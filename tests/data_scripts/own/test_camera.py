@@ -94,6 +94,7 @@ def test_a_record_is_read_back_as_the_same_camera(tmp_path, found):
         ('{"fx": 290, "fy": 285, "cx": 163, "cy": 117, "width": 320}', "cannot be read .*height"),
         ('{"fx": 290, "fy": 285, "cx": 163, "cy": 117, "width": 320, "height": 0}', "is of 320×0"),
         ('{"fx": 290, "fy": 285, "cx": 163, "cy": 117, "distortion": [1, 2, 3]}', "distortion has 3 numbers"),
+        ('{"fx": 290, "fy": 285, "cx": 163, "cy": 117, "k1": -0.3, "image_width": 320}', "unknown image_width, k1; known are .*width"),
     ],
 )
 def test_a_json_that_is_no_camera_is_refused(tmp_path, text, said):
@@ -111,3 +112,6 @@ def test_kittis_calibration_files_are_read(tmp_path, named):
     assert camera_of_file(path, (375, 1242)).matrix[0, 0] == 721
     with pytest.raises(InputError, match="is of 1242×375 pixels, the frames, 640×240"):
         camera_of_file(path, (240, 640))
+    path.write_text("image_width: 640\ncamera_matrix:\n  rows: 3\n  cols: 3\n")  # ROS
+    with pytest.raises(InputError, match=r'calib\.txt: has none of KITTI.s matrices P_rect_02.*JSON: {"fx"'):
+        camera_of_file(path, SIZE)
