@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from dualdepth.errors import InputError, exit_on_input_error
-from dualdepth.files import atomic_path, check_writable, locked, remove_leftovers
+from dualdepth.files import atomic_path, check_writable, locked, remove_leftovers, write_text
+from dualdepth.profile import profile_path
 from dualdepth.run import Run, check_roots, parse_seeds, project_root
 
 DRY = re.compile(r"--dry-?run|-[a-z]*n[a-z]*")  # Snakemake's options for only saying what it would run, such as `-np`.
@@ -26,6 +27,10 @@ def run_chain(profile: str, roots: Mapping[str, str], seeds: str, allow_leak: bo
     and `options` are Snakemake's.
     """
     run, dry = Run(profile), any(map(DRY.fullmatch, options))
+    file, noted = os.path.relpath(profile_path(profile).resolve(), run.root), run.work / "profile.txt"
+    other = noted.read_text(encoding="utf-8") if noted.is_file() else file
+    if other != file and (run.root / other).is_file():
+        raise InputError(f"{profile}: work/{run.profile.name} and results/{run.profile.name} are of {other}; give this file another name")
     check_roots(roots)
     config = {
         "profile": str(Path(profile).resolve()) if Path(profile).is_file() else profile,
@@ -45,6 +50,8 @@ def run_chain(profile: str, roots: Mapping[str, str], seeds: str, allow_leak: bo
     with nullcontext() if dry else locked(run.work / "lock", inherited=True):
         for folder, below in () if dry else ((run.work, False), (run.results, True), (run.prepared, True)):  # trainings clear their own
             remove_leftovers(folder, below=below)
+        if not dry:
+            write_text(noted, file)
         print(f"profile {run.profile.name}: {run.profile.about}; results in {run.results.relative_to(run.root)}", flush=True)
         os.chdir(run.root)
         os.execv(sys.executable, command)

@@ -155,9 +155,14 @@ class Once(yaml.SafeLoader):
         return node
 
 
+def profile_path(name: str) -> Path:
+    """The file of a profile, which may be none."""
+    return Path(name) if name.endswith((".yaml", ".yml")) else PROFILES / f"{name}.yaml"
+
+
 def _read(name: str) -> tuple[Path, dict[str, Any]]:
     """The file of a profile, and its settings laid over those of the profile that it `extends`."""
-    path = Path(name) if name.endswith((".yaml", ".yml")) else PROFILES / f"{name}.yaml"
+    path = profile_path(name)
     known = sorted(shipped.stem for shipped in PROFILES.glob("*.yaml") if shipped != path)
     if not path.is_file():
         raise InputError(f"profile {name!r} not found: choose one of {', '.join(known)} or give the path of a .yaml file that is there")

@@ -157,6 +157,10 @@ def test_a_run_ends_with_where_its_results_are_or_with_one_line_of_error(chain):
     chain.change("world: {}", "world: {train_seed: 3}")
     done = chain.reproduce()
     assert done.returncode == 1 and [line[:24] for line in done.stderr.splitlines()] == ["error: a mistake", "error: the chain stopped"]
+    (chain.root / "other").mkdir()
+    other = SmallChain(chain.root)
+    other.profile = shutil.copy(chain.profile, chain.root / "other")
+    assert "other/own.yaml: work/own and results/own are of own.yaml; give" in (done := other.reproduce()).stderr and done.returncode == 2
     (chain.root / ".snakemake").rename(chain.root / "elsewhere")
     (chain.root / ".snakemake").touch()
     done = chain.reproduce()

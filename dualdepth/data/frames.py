@@ -143,6 +143,9 @@ class Video:
         """A word on a video that ended early, once it was read; None where all were there, or nearly so: some formats only estimate."""
         if self.announced and self.passed < self.announced - max(2, self.announced // 50):
             return f"ends early: {self.passed} of {self.announced} announced frames could be read"
+        with self.path.open("rb") as file:
+            if file.read(4) == b"GIF8" and not file.read().rstrip(b"\0").endswith(b";"):  # it announces no frames, but has an end mark
+                return f"ends early: {self.passed} frames could be read, and the file has no end"
         return None
 
 
@@ -207,7 +210,9 @@ def _numbered_images(folder: Path) -> dict[int, Path]:
     if len(files) < len(there):
         note(f"{folder}: {len(there) - len(files)} of {len(there)} images are left out, since others have their names but for the ending")
     numbers = [(parts[-2:-1] or [0])[0] for parts in _parts(Path(file.name) for file in files).values()]
-    steps = [after - before for before, after in itertools.pairwise(numbers)]  # no array: nanoseconds may exceed 64 bits
+    times = [numbers, *([_clock(number, unit) for number in numbers] for unit in (1, 1000))]
+    # of clock times, if that makes steps more even; no array: nanoseconds may exceed 64 bits
+    steps = max(([b - a for a, b in itertools.pairwise(t)] for t in times if None not in t), key=lambda s: sum(_neighbours(s)))
     if min(steps, default=1) <= 0:
         steps, said = [1] * len(steps), "the names do not say the order in time; natural order is taken"
     elif steps and max(steps) > (turn := max(1000, 10 ** len(str(numbers[-1])))) / 2 and numbers[0] + turn - numbers[-1] < turn / 100:
@@ -215,8 +220,22 @@ def _numbered_images(folder: Path) -> dict[int, Path]:
         files, steps = files[at + 1 :] + files[: at + 1], [*steps[at + 1 :], over, *steps[:at]]
     if said:
         note(f"{folder}: {said}, from {files[0].name} to {files[-1].name}")
-    usual = float(np.median(steps)) if steps else 1.0
-    places = [0]
-    for step in steps:  # names may be times in nanoseconds, whose steps are never quite the same
-        places.append(places[-1] + (1 if 0.5 * usual < step < 1.5 * usual else max(2, round(step / usual))))
+    usual, places = float(np.median(steps or [1])), [0]
+    for step, near in zip(steps, _neighbours(steps)):
+        places.append(places[-1] + (1 if near else max(2, round(step / usual))))
     return dict(zip(places, files))
+
+
+def _neighbours(steps: list[int]) -> list[bool]:
+    """Which steps lead from a frame to its neighbour; names may be times in nanoseconds, whose steps are never quite the same."""
+    usual = float(np.median(steps or [1]))
+    return [0.5 * usual < step < 1.5 * usual for step in steps]
+
+
+def _clock(number: int, unit: int) -> int | None:
+    """The time of `20261130125959`, in `unit`ths of a second, where digits for these follow; None where the digits are no time."""
+    rest, part = divmod(number, unit)
+    rest, seconds = divmod(rest, 100)
+    rest, minutes = divmod(rest, 100)
+    days, hours = divmod(rest, 100)
+    return (((days * 24 + hours) * 60 + minutes) * 60 + seconds) * unit + part if max(hours - 36, minutes, seconds) < 60 else None

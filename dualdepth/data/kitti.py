@@ -177,7 +177,7 @@ def whole_image(path: str | Path) -> np.ndarray:
 
 def _with_end(data: np.ndarray, filling: bytes = b"") -> np.ndarray:
     """A JPEG whose end marker is missing, with one; what fills a gap before it changes pixels that are not there."""
-    return np.frombuffer(data.tobytes().rstrip(b"\xff") + filling + b"\xff\xd9", np.uint8)
+    return np.frombuffer(re.sub(rb"(\xff+|\0{16,})\Z", b"", data.tobytes()) + filling + b"\xff\xd9", np.uint8)
 
 
 def _pixels(data: np.ndarray) -> np.ndarray:

@@ -131,6 +131,8 @@ def valid_pixels(prediction: np.ndarray, ground_truth: np.ndarray, protocol: Pro
 def scale_and_clamp(ground_truth: np.ndarray, prediction: np.ndarray, protocol: Protocol) -> tuple[np.ndarray, float]:
     """The prediction (P,) at the ground truth's median, then clamped, in metres; and the ratio that it was multiplied by."""
     ratio = float(np.median(ground_truth)) / float(np.median(prediction)) if protocol.median_scaling else 1.0
+    if ratio < 1e-30:
+        raise InputError("the disparity is 0 in most of the pixels to score, so its median says nothing; give disparities above 0")
     return np.clip(prediction * ratio, protocol.min_depth, protocol.max_depth), ratio
 
 

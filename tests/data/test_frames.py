@@ -59,7 +59,9 @@ ORDERS = {"f1, f2, f3, f6, f7": [0, 1, 2, 5, 6], "cam2_8, cam2_9, cam2_10, cam2_
 ORDERS |= {"a, b, c": [0, 1, 2], "name, name (1), name (2), name (10)": [0, 1, 2, 10], "-12, -11, -2, -1": [0, 1, 10, 11]}
 ORDERS |= {"1305031102.875304, 1305031102.975211, 1305031103.075309, 1305031103.375300": [0, 1, 2, 5], "7.9, 7.95, 8, 8.05": [0, 1, 2, 3]}
 ORDERS |= {"1305031102.1753, 1305031103": [0, 1], "1305031102.25, 1305031102.5, 1305031103": [0, 1, 2]}
-ORDERS |= {"1.75, 2.5, 3.25": [0, 1, 2], "cam2.8, cam2.9, cam2.10, cam2.12": [0, 1, 2, 4]}
+ORDERS |= {"1.75, 2.5, 3.25": [0, 1, 2], "cam2.8, cam2.9, cam2.10, cam2.12": [0, 1, 2, 4], "0, 50, 100, 150, 250": [0, 1, 2, 3, 5]}
+ORDERS |= {"20261130125859750, 20261130125900000, 20261130125900250, 20261130125900750": [0, 1, 2, 4]}  # a clock's
+ORDERS |= {"I_20261130_125958, I_20261130_125959, I_20261130_130000, I_20261130_130002": [0, 1, 2, 4]}
 ORDERS |= {"12.5000, 12.900000000, 13.100000, 13.990000000": [0, 1, 2, 3], "8.250_cam0, 8.500_cam0, 8.750_cam0, 9.250_cam0": [0, 1, 2, 4]}
 ORDERS |= {"2024-01-02 10-15-59-900, 2024-01-02 10-16-00-100, 2024-01-02 10-16-00-300": [0, 1, 2]}
 ORDERS |= {"IMG_9997, IMG_9998, IMG_9999, IMG_0001, IMG_0002, IMG_0004": [0, 1, 2, 3, 4, 6]}
@@ -103,7 +105,10 @@ def test_what_a_file_is_its_bytes_say_and_of_what_is_left_out_a_folder_tells(tmp
     found = {path.name: is_image(path) for path in media(tmp_path.iterdir(), "here")}
     images = dict.fromkeys(("still.gif", "no times.gif", "photo.mov", "phone.heic", "lost.png"), True)
     assert found == images | dict.fromkeys(("moves.gif", *(film.name for film in films)), False)
-    assert all(len(list(Video(path).frames())) == 3 for path in films) and len(list(Video(tmp_path / "moves.gif").frames())) == 4
+    assert all(len(list(Video(path).frames())) == 3 for path in films) and len(list((gif := Video(tmp_path / "moves.gif")).frames())) == 4
+    assert gif.missing is None
+    (tmp_path / "moves.gif").write_bytes((tmp_path / "moves.gif").read_bytes()[:-500])
+    assert "the file has no end" in gif.missing
     assert "here: 4 of 26 files are left out, since they are no images or videos (.asc, .dat, .docx, .npy)" in capsys.readouterr().err
     assert {path.name for path in media(tmp_path.iterdir(), "here", videos=False)} == {*images, *others}
 

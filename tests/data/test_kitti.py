@@ -53,21 +53,24 @@ def test_grey_is_repeated_over_three_channels(tmp_path, suffix):
     assert (found := read_image(tmp_path / f"a{suffix}")).shape == (16, 24, 3) and np.abs(found.astype(int) - 77).max() <= 1
 
 
-@pytest.mark.parametrize("kind", ["JPEG", "progressive JPEG", "PNG", "TIFF", "BMP", "GIF"])
+@pytest.mark.parametrize("kind", ["JPEG", "progressive JPEG", "restarting JPEG", "PNG", "TIFF", "BMP", "GIF"])
 def test_bytes_behind_an_image_do_no_harm_and_pixels_that_are_missing_are_noticed(tmp_path, kind):
     whole, thumbnail, path, picture = io.BytesIO(), io.BytesIO(), tmp_path / "photo", PIL.Image.fromarray(wall(90, 120))
     picture.resize((12, 9)).save(thumbnail, "JPEG")  # whose end is not the photo's
-    words = {"exif": b"Exif\0\0" + thumbnail.getvalue(), "progressive": kind[0] == "p"} if "JPEG" in kind else {}
+    words = {"exif": b"Exif\0\0" + thumbnail.getvalue()} if "JPEG" in kind else {}
+    words |= {"p": {"progressive": True}, "r": {"restart_marker_blocks": 4}}.get(kind[0], {})
     picture.save(whole, kind.split()[-1], **words)
     path.write_bytes(data := whole.getvalue())
     expected, film = read_image(path), np.random.default_rng(0).bytes(5000) + b"\xff\xd9" + bytes(200)
     for behind in (b"SEFT" + bytes(63), bytes(4000), film):
         path.write_bytes(data + behind)
         assert np.array_equal(read_image(path), expected)
-    for ended in (data[:-1], data[:-2], data[:-2] + bytes(300)) if kind == "JPEG" else ():  # without the end marker; webcams leave it out
+    unended = kind in ("JPEG", "restarting JPEG")  # webcams leave out the end marker
+    for ended in (data[:-1], data[:-2], data[:-2] + bytes(300)) if unended else ():
         path.write_bytes(ended)
         assert np.array_equal(read_image(path), expected)
-    for missing in (data[: len(data) // 2], data[: len(data) // 2] + film, data[: -20 if "JPEG" in kind else -2000]):
+    half = data[: len(data) // 2]
+    for missing in (half, half + film, data[: -20 if "JPEG" in kind else -2000], *([half + bytes(4000)] * ("JPEG" in kind))):
         path.write_bytes(missing)
         with pytest.raises(InputError, match="photo: "):
             read_image(path)

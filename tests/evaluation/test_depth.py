@@ -105,6 +105,9 @@ def test_disparity_0_is_the_largest_depth_as_in_monodepth2_where_disparity_is_re
     for wrong, resize in ((0 * disparity, "disparity"), (disparity, "depth")):
         with pytest.raises(InputError, match=r"P: image 0: the disparity goes from 0 to .*, or 0 in some pixels with --resize disparity"):
             evaluate(wrong, [truth], name="P", kind="disparity", resize=resize)
+    disparity[0, 2:] = 0
+    with pytest.raises(InputError, match="P: image 0: the disparity is 0 in most"):
+        evaluate(disparity, [truth], name="P", kind="disparity", resize="disparity")
 
 
 @pytest.mark.parametrize("bad, says", [(np.nan, "to nan"), (np.inf, "to inf"), (0.0, "from 0 to"), (-2.0, "from -2 to")])
