@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 
 from dualdepth.errors import InputError, exit_on_input_error
 from dualdepth.files import atomic_path, check_writable, locked, remove_leftovers, write_text
-from dualdepth.profile import profile_path
+from dualdepth.profile import PROFILES, profile_path
 from dualdepth.run import Run, check_roots, parse_seeds, project_root
 
 DRY = re.compile(r"--dry-?run|-[a-z]*n[a-z]*")  # Snakemake's options for only saying what it would run, such as `-np`.
@@ -21,15 +21,16 @@ DRY = re.compile(r"--dry-?run|-[a-z]*n[a-z]*")  # Snakemake's options for only s
 
 def run_chain(profile: str, roots: Mapping[str, str], seeds: str, allow_leak: bool, cores: str, options: Sequence[str]) -> NoReturn:
     """Become Snakemake, which runs a profile's notebooks under a lock, so that two runs cannot mix; a dry run needs none. An `InputError`
-    says that the profile, seeds or a root is wrong, that nothing can be written, or that another process works on the profile.
+    says that the profile, seeds or a root is wrong, nothing can be written, or another process or profile of this name has the folders.
 
     `roots` are files and folders that a user gives, by the names of `run.ROOTS`; `seeds` such as `0,1,2`, empty for the profile's; `cores`
     and `options` are Snakemake's.
     """
     run, dry = Run(profile), any(map(DRY.fullmatch, options))
-    file, noted = os.path.relpath(profile_path(profile).resolve(), run.root), run.work / "profile.txt"
+    path, noted = profile_path(profile), run.work / "profile.txt"
+    file = os.path.relpath(run.root / "dualdepth/profiles" / path.name if path.parent == PROFILES else path, run.root)
     other = noted.read_text(encoding="utf-8") if noted.is_file() else file
-    if other != file and (run.root / other).is_file():
+    if other != file and (there := run.root / other).is_file() and not there.samefile(path):
         raise InputError(f"{profile}: work/{run.profile.name} and results/{run.profile.name} are of {other}; give this file another name")
     check_roots(roots)
     config = {
@@ -50,8 +51,7 @@ def run_chain(profile: str, roots: Mapping[str, str], seeds: str, allow_leak: bo
     with nullcontext() if dry else locked(run.work / "lock", inherited=True):
         for folder, below in () if dry else ((run.work, False), (run.results, True), (run.prepared, True)):  # trainings clear their own
             remove_leftovers(folder, below=below)
-        if not dry:
-            write_text(noted, file)
+        write_text(noted, file) if not dry else None
         print(f"profile {run.profile.name}: {run.profile.about}; results in {run.results.relative_to(run.root)}", flush=True)
         os.chdir(run.root)
         os.execv(sys.executable, command)

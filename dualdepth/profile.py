@@ -156,7 +156,7 @@ class Once(yaml.SafeLoader):
 
 
 def profile_path(name: str) -> Path:
-    """The file of a profile, which may be none."""
+    """The file of a profile, which may not be there."""
     return Path(name) if name.endswith((".yaml", ".yml")) else PROFILES / f"{name}.yaml"
 
 

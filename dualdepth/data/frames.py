@@ -144,7 +144,7 @@ class Video:
         if self.announced and self.passed < self.announced - max(2, self.announced // 50):
             return f"ends early: {self.passed} of {self.announced} announced frames could be read"
         with self.path.open("rb") as file:
-            if file.read(4) == b"GIF8" and not file.read().rstrip(b"\0").endswith(b";"):  # it announces no frames, but has an end mark
+            if file.read(4) == b"GIF8" and b"\0;" not in file.read().rstrip(b"\0")[-16:]:  # it announces what is there
                 return f"ends early: {self.passed} frames could be read, and the file has no end"
         return None
 
@@ -210,8 +210,8 @@ def _numbered_images(folder: Path) -> dict[int, Path]:
     if len(files) < len(there):
         note(f"{folder}: {len(there) - len(files)} of {len(there)} images are left out, since others have their names but for the ending")
     numbers = [(parts[-2:-1] or [0])[0] for parts in _parts(Path(file.name) for file in files).values()]
-    times = [numbers, *([_clock(number, unit) for number in numbers] for unit in (1, 1000))]
-    # of clock times, if that makes steps more even; no array: nanoseconds may exceed 64 bits
+    times = [numbers, *([_clock(number, unit) for number in numbers] for unit in (1, 10**3, 10**6))]
+    # the most even ones, of numbers or of clock times; no array: nanoseconds may exceed 64 bits
     steps = max(([b - a for a, b in itertools.pairwise(t)] for t in times if None not in t), key=lambda s: sum(_neighbours(s)))
     if min(steps, default=1) <= 0:
         steps, said = [1] * len(steps), "the names do not say the order in time; natural order is taken"
@@ -233,9 +233,10 @@ def _neighbours(steps: list[int]) -> list[bool]:
 
 
 def _clock(number: int, unit: int) -> int | None:
-    """The time of `20261130125959`, in `unit`ths of a second, where digits for these follow; None where the digits are no time."""
+    """The time of `20261130125959`, in `unit`ths of a second, where digits for these follow; None where it is none, or before one o'clock
+    of no day, as of small counters."""
     rest, part = divmod(number, unit)
     rest, seconds = divmod(rest, 100)
     rest, minutes = divmod(rest, 100)
     days, hours = divmod(rest, 100)
-    return (((days * 24 + hours) * 60 + minutes) * 60 + seconds) * unit + part if max(hours - 36, minutes, seconds) < 60 else None
+    return (((days * 24 + hours) * 60 + minutes) * 60 + seconds) * unit + part if rest and max(hours + 36, minutes, seconds) < 60 else None

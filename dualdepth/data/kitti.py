@@ -24,6 +24,9 @@ SUFFIXES = tuple(case(ending) for case in (str.lower, str.upper, str.title) for 
 AGAIN, FOLDERS = "copy or download it again", "give the folder that holds 2011_09_26, 2011_09_28, …"
 HEIF = tuple(b"ftyp" + brand for brand in b"heic heix heim heis hevc mif1 msf1 avif avis".split())  # Bytes 4 to 12 of phones' photos.
 TIFF = (b"II", b"MM")  # Bytes 0 to 2.
+FILLING = b"".join(
+    4096 * b"U" + bytes((0xFF, 0xD0 + n)) for n in range(8)
+)  # What changes a JPEG's missing pixels, behind any restart marker.
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # What cannot be read is told in one line here.
 
 
@@ -166,7 +169,7 @@ def whole_image(path: str | Path) -> np.ndarray:
             elif (
                 image.format != "JPEG"
                 or image.info.get("progressive")
-                or not np.array_equal(*(_pixels(_with_end(data, filling)) for filling in (b"", 4096 * b"U")))
+                or not np.array_equal(*(_pixels(_with_end(data, filling)) for filling in (b"", FILLING)))
             ):
                 raise InputError(f"{path}: truncated ({data.size} bytes); {AGAIN}")
             else:
@@ -177,7 +180,8 @@ def whole_image(path: str | Path) -> np.ndarray:
 
 def _with_end(data: np.ndarray, filling: bytes = b"") -> np.ndarray:
     """A JPEG whose end marker is missing, with one; what fills a gap before it changes pixels that are not there."""
-    return np.frombuffer(re.sub(rb"(\xff+|\0{16,})\Z", b"", data.tobytes()) + filling + b"\xff\xd9", np.uint8)
+    data = re.sub(rb"(?<![\0\xff])\0+\Z", b"", data.tobytes()).rstrip(b"\xff")  # pixels end in no zero but that of FF 00
+    return np.frombuffer(data + filling + b"\xff\xd9", np.uint8)
 
 
 def _pixels(data: np.ndarray) -> np.ndarray:

@@ -179,18 +179,17 @@ def evaluate_parts(
 
     def score(number: int) -> dict[str, dict[str, float]] | None:
         """The row of each part of an image, or None without a valid pixel."""
-        ground_truth = ground_truths[number]
+        ground_truth, rows = ground_truths[number], {}
         try:
             pixels = valid_pixels(predictions[number], ground_truth, settings)
+            for part, mask in parts(number, pixels).items() if pixels else ():
+                if mask.any():
+                    truth, depth, ratio = pixels.ground_truth[mask], pixels.prediction[mask], pixels.scale_ratio
+                    if own_ratio:
+                        depth, ratio = scale_and_clamp(truth, pixels.unscaled[mask], settings)
+                    rows[part] = metrics(truth, depth) | {"scale_ratio": ratio, "valid_pixels": len(truth)}
         except InputError as error:
             raise InputError(f"{name}: image {number}: {error}") from None
-        rows = {}
-        for part, mask in parts(number, pixels).items() if pixels else ():
-            if mask.any():
-                truth, depth, ratio = pixels.ground_truth[mask], pixels.prediction[mask], pixels.scale_ratio
-                if own_ratio:
-                    depth, ratio = scale_and_clamp(truth, pixels.unscaled[mask], settings)
-                rows[part] = metrics(truth, depth) | {"scale_ratio": ratio, "valid_pixels": len(truth)}
         return rows if pixels else None
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:  # unpacking and resizing let others run; a bar in a pipe would break one-line errors
