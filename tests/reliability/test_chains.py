@@ -34,7 +34,7 @@ class StandIns(Chain):
     def outcome(self):
         """All that the chain leaves, but for its bookkeeping."""
         files = [path for folder in ("work", "results") for path in (self.root / folder).rglob("*") if path.is_file()]
-        return {str(path.relative_to(self.root)): path.read_bytes() for path in files if path.name != "lock"}
+        return {str(path.relative_to(self.root)): path.read_bytes() for path in files if path.name not in ("lock", "profile.txt")}
 
     def broken(self):
         """Files under their final names that do not end as they should."""
