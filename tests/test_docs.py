@@ -101,6 +101,12 @@ def small_world(tmp_path, monkeypatch, kitti_factory, write_scan, encoder):
     return lambda words: [str(root) if word == "/data/kitti_raw" else word for word in words]
 
 
+def test_there_are_commands():
+    found = {page: {entry_of(c) for c in fenced_commands() if c.page == page} for page in ("README.md", "data.md", "scale.md")}
+    assert found["README.md"] >= {"make", "dualdepth predict", "python data_scripts/own_camera.py"}
+    assert found["data.md"] >= {*EXECUTED[:2]} and found["scale.md"] >= {"torchrun", "srun"}
+
+
 def in_its_ring(command: Command) -> object:
     return pytest.param(command, marks=[pytest.mark.slow] if "export" in command.words[:2] else [], id=named(command))  # ten seconds
 

@@ -4,7 +4,7 @@ import json
 import re
 
 import pytest
-from import_graph import ROOT, closure, notebook_imports
+from import_graph import ROOT, closure, modules, notebook_imports
 
 from dualdepth import run
 from dualdepth.run import CODE, code_digest, notebook_digest
@@ -53,6 +53,11 @@ def test_all_code_that_shapes_weights_and_scores_stands_in_their_digests():
 def test_a_change_in_what_comes_after_them_leaves_data_and_weights_alone():
     after = {"evaluation", "tables", "inference", "model", "report", "paper", "cli", "notebooks"}
     assert not after & {*CODE["data"], *CODE["training"], *CODE["training_page"]} and "tables/plots" not in CODE["training"]
+
+
+def test_what_is_listed_or_exempt_is_there():
+    listed = set().union(*CODE.values())
+    assert all(any(within(module, [part]) for module in modules()) for part in {*EXEMPT} | listed) and not {*EXEMPT} & listed
 
 
 @pytest.fixture
