@@ -17,9 +17,10 @@ from typing import Any, NamedTuple
 from data_scripts.own import dataset
 from data_scripts.own.camera import MOST_BOARDS, calibrate, camera_of_field, camera_of_file, camera_of_numbers, record, straightener
 from data_scripts.own.checks import examine, hold_out
+from data_scripts.own.footage import Footage
 from dualdepth.cli import OneLineParser
 from dualdepth.data.camera import Camera
-from dualdepth.data.frames import Footage, is_image
+from dualdepth.data.frames import is_image
 from dualdepth.errors import InputError, exit_on_input_error
 from dualdepth.files import file_digest, locked, short_digest, write_json, write_text
 

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
-from dualdepth.data.frames import Footage
+from data_scripts.own.footage import Footage
 
 FEWEST, FEWEST_USED = 30, 20  # Frames, at least, and of these in drives: what is learned from fewer is those frames.
 MOST_STRIDE = 30

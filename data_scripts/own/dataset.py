@@ -17,8 +17,8 @@ import numpy as np
 from tqdm import tqdm
 
 from data_scripts.own.checks import Drive
+from data_scripts.own.footage import Footage
 from dualdepth.data.camera import Camera
-from dualdepth.data.frames import Footage
 from dualdepth.data.kitti import SUFFIXES
 from dualdepth.errors import InputError, reading
 from dualdepth.files import write_text

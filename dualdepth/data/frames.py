@@ -1,21 +1,18 @@
 """Frames of any camera: files that are images or videos, a folder of images or a video, in their order; and how they are resampled."""
 
 import contextlib
-import itertools
 import os
 import re
 import shlex
 from collections.abc import Container, Iterable, Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 import PIL.Image
 
-from dualdepth.data.kitti import HEIF, read_image
+from dualdepth.data.kitti import HEIF
 from dualdepth.errors import InputError, note
-from dualdepth.files import file_digest, short_digest
 
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
 VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv", ".ts", ".mts", ".m2ts", ".3gp", ".flv", ".ogv", ".vob")
@@ -47,7 +44,7 @@ def is_image(path: Path) -> bool:
 def media(paths: Iterable[Path], where: object, videos: bool = True) -> list[Path]:
     """Images, and `videos` if wanted, among files of a place, in natural order; an `InputError` if there are none. A note tells of others,
     but for texts and hidden files, and of a folder's own folders."""
-    parts, what, usable = _parts(paths), "images or videos" if videos else "images", []
+    parts, what, usable = name_parts(paths), "images or videos" if videos else "images", []
     inside = [path for path in parts if path.is_dir() and path.name[:1] != "." and not (path / "predictions.json").exists()]
     below = len(inside) if Path(str(where)).is_dir() else 0
     folders = f"folders in it ({below}) are not looked into; " + (f"'{where}/**/*' stands for all" if videos else "give one of them")
@@ -68,7 +65,7 @@ def media(paths: Iterable[Path], where: object, videos: bool = True) -> list[Pat
     return usable
 
 
-def _parts(paths: Iterable[Path]) -> dict[Path, list[str | int]]:
+def name_parts(paths: Iterable[Path]) -> dict[Path, list[str | int]]:
     """Texts and numbers of each name, in turn. `1305031102.1753` at the end is one number, in units of the finest fraction, but not
     counters, `2.9`, `2.10`. Zeros tell: fractions begin with one now and then, and are of one length or end with none. What follows
     all times, `_cam0`, is left out; a name may begin with a minus."""
@@ -147,96 +144,3 @@ class Video:
             if file.read(4) == b"GIF8" and b"\0;" not in file.read().rstrip(b"\0")[-16:]:  # it announces what is there
                 return f"ends early: {self.passed} frames could be read, and the file has no end"
         return None
-
-
-class FootageFrame(NamedTuple):
-    """One frame of a footage."""
-
-    number: int  # its place in time; neighbours differ by one, and a number that is missing is a gap
-    image: np.ndarray  # (H, W, 3) uint8, RGB
-    file: Path | None  # its image file; None for a video's
-
-
-class Footage:
-    """A folder of images, in natural order, or a video; can be gone through more than once. An `InputError` says that
-    there is none, that it holds no images, or that it is no video that can be read."""
-
-    def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
-        self.files: dict[int, Path] | None = _numbered_images(self.path) if self.path.is_dir() else None
-        if self.files is None and (not self.path.is_file() or is_image(self.path)):
-            raise InputError(f"{self.path}: there is no such video and no folder of frames; give one of these")
-        video = Video(self.path) if self.files is None else None
-        self.length = (video.announced or 0) if video else len(self.files)
-        """Frames; of a video as its header says, which may be wrong."""
-        if video:
-            video.close()
-
-    def stills(self, wanted: Container[int] | None = None) -> Iterator[FootageFrame]:
-        """The frames in order, or those whose numbers are wanted. An `InputError` says that one cannot be read or is not of the first one's
-        size, or that a video ends before its announced end."""
-        video = Video(self.path) if self.files is None else None
-        if video:
-            stills = (FootageFrame(number, image, None) for number, image in video.frames(wanted))
-        else:
-            files = ((number, file) for number, file in self.files.items() if wanted is None or number in wanted)
-            stills = (FootageFrame(number, read_image(file), file) for number, file in files)
-        first: tuple[int, ...] = ()
-        for still in stills:
-            size = still.image.shape[1::-1]
-            first = first or size
-            if size != first:
-                sizes = f"frame {still.number} has {size[0]}×{size[1]} pixels, the first one {first[0]}×{first[1]}"
-                raise InputError(f"{still.file or self.path}: {sizes}; give frames of one size, others in a data set of their own")
-            yield still
-        if video and video.missing:
-            raise InputError(f"{self.path}: {video.missing}; copy it again, or keep what is there: {video.convert}")
-
-    def digest(self) -> str:
-        """Of the names and bytes of all it is read from."""
-        files = self.files.values() if self.files is not None else [self.path]
-        return short_digest(*(f"{file.name} {file_digest(file)}" for file in files))
-
-
-def _numbered_images(folder: Path) -> dict[int, Path]:
-    """Image files by their place in time: the last number of the name, in usual steps; where it does not rise, places in natural order.
-    Numbers from nearly 0 to nearly 9999 (or 999, …), with a gap of more than half of that, are of a counter that rolled over."""
-    there, said = media(folder.iterdir(), folder, videos=False), ""
-    one: dict[str, Path] = {}
-    for file in there:
-        stem = file.stem if file.suffix.lower() in IMAGES else file.name
-        one[stem] = min(one.get(stem, file), file, key=lambda path: path.suffix.lower())  # a PNG beside a JPEG may be depth
-    files = list(one.values())
-    if len(files) < len(there):
-        note(f"{folder}: {len(there) - len(files)} of {len(there)} images are left out, since others have their names but for the ending")
-    numbers = [(parts[-2:-1] or [0])[0] for parts in _parts(Path(file.name) for file in files).values()]
-    times = [numbers, *([_clock(number, unit) for number in numbers] for unit in (1, 10**3, 10**6))]
-    # the most even ones, of numbers or of clock times; no array: nanoseconds may exceed 64 bits
-    steps = max(([b - a for a, b in itertools.pairwise(t)] for t in times if None not in t), key=lambda s: sum(_neighbours(s)))
-    if min(steps, default=1) <= 0:
-        steps, said = [1] * len(steps), "the names do not say the order in time; natural order is taken"
-    elif steps and max(steps) > (turn := max(1000, 10 ** len(str(numbers[-1])))) / 2 and numbers[0] + turn - numbers[-1] < turn / 100:
-        at, over, said = steps.index(max(steps)), turn - numbers[-1] + max(0, numbers[0] - 1), "the numbers roll over"  # cameras have no 0
-        files, steps = files[at + 1 :] + files[: at + 1], [*steps[at + 1 :], over, *steps[:at]]
-    if said:
-        note(f"{folder}: {said}, from {files[0].name} to {files[-1].name}")
-    usual, places = float(np.median(steps or [1])), [0]
-    for step, near in zip(steps, _neighbours(steps)):
-        places.append(places[-1] + (1 if near else max(2, round(step / usual))))
-    return dict(zip(places, files))
-
-
-def _neighbours(steps: list[int]) -> list[bool]:
-    """Which steps lead from a frame to its neighbour; names may be times in nanoseconds, whose steps are never quite the same."""
-    usual = float(np.median(steps or [1]))
-    return [0.5 * usual < step < 1.5 * usual for step in steps]
-
-
-def _clock(number: int, unit: int) -> int | None:
-    """The time of `20261130125959`, in `unit`ths of a second, where digits for these follow; None where it is none, or before one o'clock
-    of no day, as of small counters."""
-    rest, part = divmod(number, unit)
-    rest, seconds = divmod(rest, 100)
-    rest, minutes = divmod(rest, 100)
-    days, hours = divmod(rest, 100)
-    return (((days * 24 + hours) * 60 + minutes) * 60 + seconds) * unit + part if rest and max(hours + 36, minutes, seconds) < 60 else None

@@ -7,7 +7,7 @@ from own_film import frame, turning, write_frames
 from small_kitti import wall
 
 from data_scripts.own.checks import Drive, checks, cut_at_breaks, examine, hold_out, motion, small_copy
-from dualdepth.data.frames import Footage
+from data_scripts.own.footage import Footage
 
 FOCAL = 0.8
 
