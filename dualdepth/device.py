@@ -7,6 +7,7 @@ import contextlib
 import ctypes
 import os
 import sys
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     import torch
 
 Precision = Literal["float32", "bf16"]
+GPU = "cuda"  # Where some of torch's gradients add up in any order, and ours are written so that they do not.
 
 
 def process_count() -> int:
@@ -99,6 +101,18 @@ def inference_precision(precision: str | None, device: "torch.device") -> Precis
     if precision not in get_args(Precision):
         raise InputError(f"precision {precision!r} is unknown: choose one of {', '.join(get_args(Precision))}")
     return precision
+
+
+def compute_repeatably() -> None:
+    """Have torch take algorithms that give the same bits each time, for the rest of the process."""
+    import torch
+
+    os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # else cuBLAS is free to choose
+    torch.use_deterministic_algorithms(True, warn_only=True)
+    # a pass over every new tensor, of which none is read before it is written
+    torch.utils.deterministic.fill_uninitialized_memory = False
+    # torch warns of all of an operation; of these only what is repeatable is used: gradients of coordinates, medians without their places
+    warnings.filterwarnings("ignore", "(grid_sampler_2d_backward_cuda|median CUDA) .*deterministic")
 
 
 def keep_freed_memory() -> None:

@@ -8,6 +8,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from dualdepth.device import GPU
+
 MIN_Z = 1e-3  # Points nearer than this share of their target depth in the source camera count as behind it.
 
 
@@ -101,9 +103,30 @@ def sample(image: Tensor, pixel: Tensor) -> Tensor:
     At a coordinate that is not a number it is pixel 0 that is taken: torch's backward on the CPU would read memory that is not its own.
     """
     pixel = torch.where(pixel.isnan(), 0.0, pixel)
+    if image.requires_grad and image.device.type == GPU:
+        return gathered(image, pixel)
     size = torch.tensor([image.shape[-1], image.shape[-2]], device=image.device, dtype=torch.float32)
     normalised = (2.0 * pixel + 1.0) / size - 1.0
     return F.grid_sample(image, normalised, mode="bilinear", padding_mode="border", align_corners=False)
+
+
+def gathered(image: Tensor, pixel: Tensor) -> Tensor:
+    """As `sample`, slower, and on a GPU with a gradient of the image that adds up in a fixed order, as torch's does not."""
+    batch, _, height, width = image.shape
+    u, v = pixel[..., 0].clamp(0, width - 1), pixel[..., 1].clamp(0, height - 1)  # (B, H, W)
+    left, top = u.detach().floor(), v.detach().floor()
+    rows = image.permute(0, 2, 3, 1).flatten(0, 2)  # (B·h·w, C)
+    first = height * width * torch.arange(batch, device=image.device)[:, None, None]
+    result = torch.zeros((), device=image.device)
+    for x, y, share in (
+        (left, top, (1 + left - u) * (1 + top - v)),
+        (left + 1, top, (u - left) * (1 + top - v)),
+        (left, top + 1, (1 + left - u) * (v - top)),
+        (left + 1, top + 1, (u - left) * (v - top)),
+    ):
+        index = first + width * y.long().clamp(max=height - 1) + x.long().clamp(max=width - 1)
+        result = result + share[..., None] * rows[index]
+    return result.permute(0, 3, 1, 2)
 
 
 def to_unit(images: Tensor) -> Tensor:

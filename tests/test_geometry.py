@@ -6,7 +6,7 @@ import torch
 from slow_losses import slow_warp
 
 from dualdepth import geometry
-from dualdepth.geometry import inverse_pose, pose_matrix, reproject, resize_intrinsics, rotation_matrix, sample
+from dualdepth.geometry import gathered, inverse_pose, pose_matrix, reproject, resize_intrinsics, rotation_matrix, sample
 
 KITTI = torch.tensor([[721.5, 0.0, 609.6], [0.0, 721.5, 172.9], [0.0, 0.0, 1.0]])
 
@@ -144,3 +144,14 @@ def test_coordinates_that_are_no_numbers_are_sampled_and_derived_without_harm(ba
     assert pixel.grad.isfinite().all() and image.grad.isfinite().all()
     pixel, valid = reproject(disparities(8, 12), pose(bad, 0, 0, 0, 0, 0), camera(8, 12))
     assert not valid.any() or abs(bad) == 1e30
+
+
+def test_a_gpus_samples_of_features_are_torchs_with_both_gradients():
+    draw = torch.Generator().manual_seed(0)
+    image = torch.rand(2, 3, 5, 8, generator=draw, requires_grad=True)
+    pixel = (torch.rand(2, 4, 6, 2, generator=draw) * torch.tensor([12.0, 9.0]) - 2.0).requires_grad_()  # some outside
+    found, expected = gathered(image, pixel), sample(image, pixel)
+    torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-5)
+    weights = torch.rand(expected.shape, generator=draw)
+    slopes = [torch.autograd.grad((values * weights).sum(), [image, pixel]) for values in (found, expected)]
+    torch.testing.assert_close(*slopes, rtol=1e-3, atol=1e-4)

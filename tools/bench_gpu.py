@@ -23,7 +23,7 @@ import torch
 from torch.utils.data import default_collate
 
 from dualdepth.data.loading import StatelessBatches, TripletDataset, make_loader
-from dualdepth.device import choose_device
+from dualdepth.device import choose_device, compute_repeatably
 from dualdepth.errors import InputError, exit_on_input_error
 from dualdepth.evaluation.cost import latency
 from dualdepth.files import write_json, write_text
@@ -188,8 +188,7 @@ def main(argv: list[str] | None = None) -> int:
     if device.type == "cpu" and not arguments.device:
         raise InputError("there is no GPU here; --device cpu tries the script on the CPU, for hours at the paper's sizes")
     name = torch.cuda.get_device_name(device) if device.type == "cuda" else device.type
-    torch.use_deterministic_algorithms(True, warn_only=True)  # as a training does
-    torch.utils.deterministic.fill_uninitialized_memory = False
+    compute_repeatably()  # as a training does
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
         bench = Bench(profile, device, arguments.steps, time.monotonic() + arguments.budget, folder)

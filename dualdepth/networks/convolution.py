@@ -1,18 +1,56 @@
-"""Convolutions as fast as the CPU allows under autocast."""
+"""Convolutions whose mirrored borders are as fast as the CPU allows under autocast, and repeatable on a GPU."""
+
+from typing import Any
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional as F
+
+from dualdepth.device import GPU
+
+
+class Reflection(torch.autograd.Function):
+    """Maps (B, C, H, W) with mirrored borders, for a GPU: there torch's own leaves channels-last, and its gradient adds up the pixels next
+    to a corner in any order, so that no two trainings are the same."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, padding: tuple[int, int, int, int]) -> Tensor:
+        """Wider by `padding`, pixels to the left, right, top and bottom."""
+        ctx.padding = left, right, top, bottom = padding
+        last = x.is_contiguous(memory_format=torch.channels_last)
+        size, kept = (x.shape[2] + top + bottom, x.shape[3] + left + right), torch.channels_last if last else torch.contiguous_format
+        wide = torch.empty((*x.shape[:2], *size), dtype=x.dtype, device=x.device, memory_format=kept)
+        wide.narrow(2, top, x.shape[2]).narrow(3, left, x.shape[3]).copy_(x)
+        for dim, before, after in ((3, left, right), (2, top, bottom)):  # rows last: they hold the corners
+            end = wide.shape[dim] - after
+            wide.narrow(dim, 0, before).copy_(wide.narrow(dim, before + 1, before).flip(dim))
+            wide.narrow(dim, end, after).copy_(wide.narrow(dim, end - 1 - after, after).flip(dim))
+        return wide
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None]:
+        """A border's gradient goes to the pixels that it mirrors: first that of rows, which hold the corners."""
+        left, right, top, bottom = ctx.padding
+        whole = gradient.clone()
+        for dim, before, after in ((2, top, bottom), (3, left, right)):
+            end = whole.shape[dim] - after
+            whole.narrow(dim, before + 1, before).add_(whole.narrow(dim, 0, before).flip(dim))
+            whole.narrow(dim, end - 1 - after, after).add_(whole.narrow(dim, end, after).flip(dim))
+        return whole[:, :, top : whole.shape[2] - bottom, left : whole.shape[3] - right], None
 
 
 class Conv2d(nn.Conv2d):
     """`nn.Conv2d`, which on the CPU under autocast mirrors borders in the narrow type and filters each channel by itself in float32.
 
     torch's autocast has borders mirrored in float32, with two more passes over memory each way; and oneDNN takes four to six times as long
-    for bf16 gradients of a filter for each channel as for those in float32.
+    for bf16 gradients of a filter for each channel as for those in float32. On a GPU borders are mirrored by `Reflection`.
     """
 
     def forward(self, x: Tensor) -> Tensor:
         """Maps of (B, C, H, W), in the type that autocast gives them."""
+        if x.device.type == GPU and self.padding_mode == "reflect":
+            padded = Reflection.apply(x, self._reversed_padding_repeated_twice)
+            return F.conv2d(padded, self.weight, self.bias, self.stride, 0, self.dilation, self.groups)
         if x.device.type != "cpu" or x.dtype == torch.float64 or not torch.is_autocast_enabled("cpu"):
             return super().forward(x)
         narrow = torch.get_autocast_dtype("cpu")

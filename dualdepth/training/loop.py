@@ -17,7 +17,15 @@ from tqdm import tqdm
 
 from dualdepth.data.loading import StatelessBatches, TripletDataset, make_loader
 from dualdepth.data.triplets import Triplet
-from dualdepth.device import choose_precision, default_device, device_name, is_main_process, process_count, several_on_cpu
+from dualdepth.device import (
+    choose_precision,
+    compute_repeatably,
+    default_device,
+    device_name,
+    is_main_process,
+    process_count,
+    several_on_cpu,
+)
 from dualdepth.errors import InputError, note
 from dualdepth.files import check_writable, remove_leftovers
 from dualdepth.geometry import to_unit
@@ -75,6 +83,7 @@ class Trainer:
         self.stage, self.profile, self.settings, self.triplets = stage, profile, profile.training, triplets
         self.folder, self.seed, self.recipe = Path(folder), seed, recipe
         self.total, self.start, self.saved_at = total_steps(stage, len(triplets)), 0, time.monotonic()
+        self.waited = 0.0  # seconds, for batches
         self.dataset = TripletDataset(triplets, profile.data.hr_size, self.settings.augmentation, seed)
         checkpoint = last_checkpoint(self.folder, lambda line: print(line) if is_main_process() else None)
         resumed = bool(checkpoint) and checkpoint["recipe"] == recipe
@@ -102,9 +111,7 @@ class Trainer:
     def _prepare(self, make_model: Callable[[], Stage], checkpoint: dict[str, Any] | None) -> None:
         """Model and optimiser, new or as the checkpoint has them, on this process's device."""
         set_seed(self.seed)
-        torch.use_deterministic_algorithms(True, warn_only=True)
-        # a pass over every new tensor, of which none is read before it is written
-        torch.utils.deterministic.fill_uninitialized_memory = False
+        compute_repeatably()
         model = make_model()
         if self.settings.channels_last:
             model = model.to(memory_format=torch.channels_last)
@@ -161,6 +168,11 @@ class Trainer:
                 logged = step % self.settings.log_every == 0 or step in (1, self.total)
                 output, statistics = self._step(step, batches, logged)
                 bar.update()
+                if step == self.start + 1:
+                    self.waited = 0.0  # the loader's processes had to begin
+                if log and step == self.start + 100 and (share := self.waited / (time.perf_counter() - began)) > 0.2:
+                    mend = f"raise training.workers (now {self.settings.workers}), or put the frames on a faster disk"
+                    tqdm.write(f"note: {share:.0%} of the time the training waits for frames; {mend}")
                 if logged:
                     values = combine(accelerator, statistics)
                 if log and logged:
@@ -196,7 +208,10 @@ class Trainer:
         self.optimizer.zero_grad()
         names, statistics = [], []
         for part in range(accumulate):
-            batch = {k: v.to(accelerator.device) if torch.is_tensor(v) else v for k, v in next(batches).items()}
+            began = time.perf_counter()
+            batch = next(batches)
+            self.waited += time.perf_counter() - began
+            batch = {k: v.to(accelerator.device, non_blocking=True) if torch.is_tensor(v) else v for k, v in batch.items()}
             names += batch["name"]
             # an encoder's own draws, such as dropout, are functions of seed, step and part, too
             draw = part * accelerator.num_processes + accelerator.process_index

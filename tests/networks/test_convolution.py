@@ -1,9 +1,10 @@
-"""Convolutions under autocast on the CPU against float32's."""
+"""Convolutions under autocast on the CPU against float32's, and a GPU's mirrored borders against torch's."""
 
 import pytest
 import torch
+from torch.nn import functional as F
 
-from dualdepth.networks.convolution import Conv2d, conv3x3
+from dualdepth.networks.convolution import Conv2d, Reflection, conv3x3
 from dualdepth.networks.encoders import make_encoder
 
 
@@ -26,3 +27,14 @@ def test_a_filter_for_each_channel_is_computed_in_float32(name):
     with torch.autocast("cpu", torch.bfloat16):
         found = layers[-1](x)
     assert len(layers) >= 16 and torch.equal(found, layers[-1](x).bfloat16())
+
+
+@pytest.mark.parametrize("padding", [(1, 1, 1, 1), (3, 3, 3, 3), (0, 2, 1, 0)])
+@pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last])
+def test_a_gpus_mirrored_borders_are_torchs_and_keep_the_layout(padding, layout):
+    x = torch.rand(2, 3, 4, 7, dtype=torch.float64).contiguous(memory_format=layout).requires_grad_()
+    found, expected = Reflection.apply(x, padding), F.pad(x, padding, mode="reflect")
+    assert torch.equal(found, expected) and found.is_contiguous(memory_format=layout)
+    weights = torch.rand_like(expected)
+    slopes = [torch.autograd.grad((mirrored * weights).sum(), x)[0] for mirrored in (found, expected)]
+    torch.testing.assert_close(*slopes)
