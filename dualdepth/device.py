@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     import torch
 
 Precision = Literal["float32", "bf16"]
-GPU = "cuda"  # Where some of torch's gradients add up in any order, and ours are written so that they do not.
 
 
 def process_count() -> int:

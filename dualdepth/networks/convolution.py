@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from dualdepth.device import GPU
+from dualdepth.geometry import GPU
 
 
 class Reflection(torch.autograd.Function):
