@@ -24,9 +24,7 @@ SUFFIXES = tuple(case(ending) for case in (str.lower, str.upper, str.title) for 
 AGAIN, FOLDERS = "copy or download it again", "give the folder that holds 2011_09_26, 2011_09_28, …"
 HEIF = tuple(b"ftyp" + brand for brand in b"heic heix heim heis hevc mif1 msf1 avif avis".split())  # Bytes 4 to 12 of phones' photos.
 TIFF = (b"II", b"MM")  # Bytes 0 to 2.
-FILLING = b"".join(
-    4096 * b"U" + bytes((0xFF, 0xD0 + n)) for n in range(8)
-)  # What changes a JPEG's missing pixels, behind any restart marker.
+FILLING = b"".join(4096 * b"U" + bytes((0xFF, 0xD0 + n)) for n in range(8))  # Changes pixels that a JPEG lacks, behind any restart.
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # What cannot be read is told in one line here.
 
 

@@ -10,10 +10,10 @@ from dualdepth import paper
 from dualdepth.evaluation.depth import METRICS
 from dualdepth.evaluation.leaks import check_leak
 from dualdepth.evaluation.statistics import Comparison, compare
-from dualdepth.tables.claims import HIGHER_IS_BETTER, Claim, claims_of
+from dualdepth.tables.claims import HIGHER_IS_BETTER, NOT_RUN, Claim, claims_of
 from dualdepth.tables.scores import SEEDLESS, Scores
 
-MEASURED, NOT_RUN = "measured", "not run"  # Values of the column `source` beside `paper`.
+MEASURED = "measured"  # In the column `source`, beside `paper` and NOT_RUN.
 COMPARISON = ["of", "a", "b", "metric", *Comparison._fields, "n", "better", "in_words", "reason"]
 """Columns of a table of comparisons: `of` says which images or which part of them, `better` is `lower` or `higher` by the metric, `reason`
 says why nothing was compared."""
