@@ -46,7 +46,7 @@ def default_device() -> "torch.device":
     """Where trainings and tables compute: a CUDA GPU where there is one, else the CPU."""
     import torch
 
-    return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    return choose_device("cuda" if torch.cuda.is_available() else "cpu")
 
 
 def choose_device(name: "str | torch.device | None") -> "torch.device":
@@ -54,6 +54,7 @@ def choose_device(name: "str | torch.device | None") -> "torch.device":
     is unknown or not to be had here."""
     import torch
 
+    torch.backends.cudnn.allow_tf32 = False  # float32 is to be float32, of convolutions, too
     there = ["cpu", *(f"cuda:{i}" for i in range(torch.cuda.device_count())), *["mps"] * torch.backends.mps.is_available()]
     if name is None:
         return torch.device("cuda" if "cuda:0" in there else there[-1])
@@ -102,12 +103,12 @@ def inference_precision(precision: str | None, device: "torch.device") -> Precis
     return precision
 
 
-def compute_repeatably() -> None:
-    """Have torch take algorithms that give the same bits each time, for the rest of the process."""
+def compute_repeatably(repeatably: bool = True) -> None:
+    """Have torch take algorithms that give the same bits each time, or any again, for the rest of the process."""
     import torch
 
     os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # else cuBLAS is free to choose
-    torch.use_deterministic_algorithms(True, warn_only=True)
+    torch.use_deterministic_algorithms(repeatably, warn_only=True)
     # a pass over every new tensor, of which none is read before it is written
     torch.utils.deterministic.fill_uninitialized_memory = False
     # torch warns of all of an operation; of these only what is repeatable is used: gradients of coordinates, medians without their places

@@ -30,7 +30,8 @@ def rotation_matrix(angles: Tensor) -> Tensor:
 def pose_matrix(pose: Tensor) -> Tensor:
     """Rigid transform (…, 4, 4) of poses (…, 6) = tx, ty, tz, rx, ry, rz: target camera coordinates → source camera coordinates."""
     rows = torch.cat([rotation_matrix(pose[..., 3:]), pose[..., :3, None]], dim=-1)
-    last = torch.tensor([0.0, 0.0, 0.0, 1.0], device=pose.device, dtype=pose.dtype).expand(*pose.shape[:-1], 1, 4)
+    last = pose.new_zeros(*pose.shape[:-1], 1, 4)  # made on the device: a copy to it would wait for all before
+    last[..., 3].fill_(1.0)
     return torch.cat([rows, last], dim=-2)
 
 
@@ -85,7 +86,7 @@ def reproject(disparity: Tensor, transform: Tensor, intrinsics: Tensor) -> tuple
     """
     batch, _, height, width = disparity.shape
     grid = pixel_grid(height, width, disparity.device)
-    homography = intrinsics @ transform[:, :3, :3] @ torch.linalg.inv(intrinsics)
+    homography = intrinsics @ transform[:, :3, :3] @ torch.linalg.inv_ex(intrinsics).inverse
     translation = intrinsics @ transform[:, :3, 3:]
     point = homography @ grid + translation * disparity.reshape(batch, 1, -1)  # (B, 3, H·W)
     z = point[:, 2:]
@@ -102,9 +103,10 @@ def sample(image: Tensor, pixel: Tensor) -> Tensor:
     At a coordinate that is not a number it is pixel 0 that is taken: torch's backward on the CPU would read memory that is not its own.
     """
     pixel = torch.where(pixel.isnan(), 0.0, pixel)
-    if image.requires_grad and image.device.type == GPU:
+    if image.requires_grad and image.device.type == GPU and torch.are_deterministic_algorithms_enabled():
         return gathered(image, pixel)
-    size = torch.tensor([image.shape[-1], image.shape[-2]], device=image.device, dtype=torch.float32)
+    size = pixel.new_full((2,), image.shape[-1])
+    size[1:].fill_(image.shape[-2])
     normalised = (2.0 * pixel + 1.0) / size - 1.0
     return F.grid_sample(image, normalised, mode="bilinear", padding_mode="border", align_corners=False)
 

@@ -77,7 +77,8 @@ class DepthModel(nn.Module, ModelHubMixin):
         """What is known of the weights."""
         self.device = choose_device(device)
         self.precision = inference_precision(precision, self.device)
-        self.depth_net = (net or self.architecture.build()).to(self.device)
+        layout = torch.channels_last if self.device.type == "cuda" else torch.preserve_format
+        self.depth_net = (net or self.architecture.build()).to(self.device, memory_format=layout)
         self.eval()
 
     @property

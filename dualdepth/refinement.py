@@ -80,5 +80,5 @@ class _Steps:
         weighted = self.jacobian * (seen / (1 + (residual / spread) ** 2))[:, None]
         matrix = weighted @ self.jacobian.mT
         matrix += torch.diag_embed(DAMPING * matrix.diagonal(dim1=1, dim2=2) + 1e-6)
-        step = torch.linalg.solve(matrix, weighted @ residual[:, :, None])[..., 0]
+        step = torch.linalg.solve_ex(matrix, weighted @ residual[:, :, None]).result[..., 0]
         return transform @ pose_matrix(-step)

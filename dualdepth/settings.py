@@ -216,6 +216,8 @@ class Training(Settings):
     compile: bool = False
     """Whether `torch.compile` makes one program of a step, which takes minutes; where a forward pass cannot be compiled, a line says so
     and training goes on without. On CPUs a short training does not get these minutes back (docs/speed.md); not measured on GPUs."""
+    deterministic: bool = True
+    """Whether torch takes algorithms that give the same bits each time; on a GPU others may be faster (`make bench-gpu`)."""
     workers: int = Field(2, ge=0)
     """Loader processes."""
     accumulate: int = Field(1, ge=1)

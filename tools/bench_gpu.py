@@ -48,12 +48,14 @@ class Trial:
     precision: str = "bf16"
     batch: int = 4
     compiled: bool = False
+    deterministic: bool = True
     again: bool = False  # The same once more, to compare weights bit by bit.
 
 
 TRIALS = [
     *(Trial(stage, **how) for how in ({}, {"again": True}, {"precision": "float32"}) for stage in ("lr", "hr")),
     *(Trial(stage, compiled=True, **how) for how in ({}, {"again": True}) for stage in ("lr", "hr")),
+    *(Trial(stage, deterministic=False) for stage in ("lr", "hr")),
     *(Trial(stage, batch=batch) for batch in (8, 16) for stage in ("lr", "hr")),
 ]
 
@@ -72,6 +74,7 @@ class Bench:
 
         A step is as in a training, but for checks that numbers are finite, and frames that are on the device before it begins.
         """
+        compute_repeatably(trial.deterministic)  # as a training does
         if trial.compiled:
             torch.compiler.reset()
         gc.collect()  # a compiled network holds itself
@@ -129,7 +132,8 @@ class Bench:
         return {"loader_triplets_per_s": 4 * (len(counted) - 1) / (counted[-1] - counted[0]), "workers": loader.num_workers}
 
     def inference(self, name: str, precision: Any) -> dict[str, Any]:
-        """Time and memory of one image."""
+        """Time and memory of one image, as `predict` computes it."""
+        compute_repeatably(False)
         image = torch.rand(1, 3, *self.profile.data.hr_size)
         net = let_see(make_net(name, self.profile.training.encoder), image).to(self.device, memory_format=torch.channels_last)
         found = latency(net, image.to(self.device), repeats=20, precision=precision)
@@ -163,10 +167,16 @@ def verdicts(rows: list[dict[str, Any]], profile: Profile) -> dict[str, Any]:
         base, settings = of.get(Trial(stage)), getattr(profile.training, stage)
         if not base:
             continue
-        for what, other in {"eager / compiled": Trial(stage, compiled=True), "bf16 / float32": Trial(stage, precision="float32")}.items():
+        others = {"eager / compiled": Trial(stage, compiled=True), "bf16 / float32": Trial(stage, precision="float32")}
+        others["deterministic / not"] = Trial(stage, deterministic=False)
+        for what, other in others.items():
             if other in of:
                 said[f"{stage}: time of a step, {what}"] = base["step_s"] / of[other]["step_s"]
-        if settings.batch_size == Trial(stage).batch:
+        training = profile.training
+        as_timed = not (
+            training.beyond_paper_residual or training.beyond_paper_pose_encoder or training.beyond_paper_refined_after is not None
+        )
+        if as_timed and settings.batch_size == Trial(stage).batch:
             seconds = total_steps(settings, PAPER_TRIPLETS) * base["step_s"]
             said[f"{stage}: hours of {profile.name} on {PAPER_TRIPLETS} triplets"] = seconds / 3600
         if loader:
@@ -179,16 +189,15 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description="Measure both stages on a GPU, and say what the paper's run would take.")
     parser.add_argument("--profile", default="paper", help="whose sizes, encoder and steps (default: %(default)s)")
     parser.add_argument("--device", help="such as cuda:1, or cpu (default: a GPU, and an error without one)")
-    parser.add_argument("--steps", type=int, default=60, help="of each trial (default: %(default)s)")
+    parser.add_argument("--steps", type=int, default=100, help="of each trial (default: %(default)s)")
     parser.add_argument("--workers", type=int, default=16, help="processes of the loader (default: %(default)s)")
     parser.add_argument("--budget", type=float, default=360, metavar="SECONDS", help="no trial begins later (default: %(default)s)")
     parser.add_argument("--out", default="results/bench_gpu", metavar="STEM", help="of the .json and .csv (default: %(default)s)")
     arguments = parser.parse_args(argv)
     device, profile = choose_device(arguments.device), load_profile(arguments.profile)
-    if device.type == "cpu" and not arguments.device:
+    if device.type != "cuda" and not arguments.device:
         raise InputError("there is no GPU here; --device cpu tries the script on the CPU, for hours at the paper's sizes")
     name = torch.cuda.get_device_name(device) if device.type == "cuda" else device.type
-    compute_repeatably()  # as a training does
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
         bench = Bench(profile, device, arguments.steps, time.monotonic() + arguments.budget, folder)

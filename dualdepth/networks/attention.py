@@ -75,5 +75,5 @@ def distances(f: Tensor, order: int) -> Tensor:
 def coordinates(features: Tensor) -> Tensor:
     """Coordinates x, y of each position, from −1 at the first to 1 at the last: (B, 2, h, w)."""
     b, _, h, w = features.shape
-    y, x = torch.meshgrid(torch.linspace(-1, 1, h), torch.linspace(-1, 1, w), indexing="ij")
+    y, x = torch.meshgrid(*(torch.linspace(-1, 1, n, device=features.device) for n in (h, w)), indexing="ij")
     return torch.stack([x, y]).to(features).expand(b, 2, h, w)

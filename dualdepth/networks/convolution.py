@@ -15,17 +15,12 @@ class Reflection(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, x: Tensor, padding: tuple[int, int, int, int]) -> Tensor:
-        """Wider by `padding`, pixels to the left, right, top and bottom."""
-        ctx.padding = left, right, top, bottom = padding
-        last = x.is_contiguous(memory_format=torch.channels_last)
-        size, kept = (x.shape[2] + top + bottom, x.shape[3] + left + right), torch.channels_last if last else torch.contiguous_format
-        wide = torch.empty((*x.shape[:2], *size), dtype=x.dtype, device=x.device, memory_format=kept)
-        wide.narrow(2, top, x.shape[2]).narrow(3, left, x.shape[3]).copy_(x)
-        for dim, before, after in ((3, left, right), (2, top, bottom)):  # rows last: they hold the corners
-            end = wide.shape[dim] - after
-            wide.narrow(dim, 0, before).copy_(wide.narrow(dim, before + 1, before).flip(dim))
-            wide.narrow(dim, end, after).copy_(wide.narrow(dim, end - 1 - after, after).flip(dim))
-        return wide
+        """Wider by `padding`, pixels to the left, right, top and bottom, which must be fewer than there are."""
+        ctx.padding = padding
+        for dim, before, after in ((3, *padding[:2]), (2, *padding[2:])):
+            parts = [x.narrow(dim, 1, before), x, x.narrow(dim, x.shape[dim] - 1 - after, after)]
+            x = torch.cat([part if part is x else turned(part, dim) for part in parts if part.shape[dim]], dim)
+        return x
 
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None]:
@@ -34,9 +29,14 @@ class Reflection(torch.autograd.Function):
         whole = gradient.clone()
         for dim, before, after in ((2, top, bottom), (3, left, right)):
             end = whole.shape[dim] - after
-            whole.narrow(dim, before + 1, before).add_(whole.narrow(dim, 0, before).flip(dim))
-            whole.narrow(dim, end - 1 - after, after).add_(whole.narrow(dim, end, after).flip(dim))
+            whole.narrow(dim, before + 1, before).add_(turned(whole.narrow(dim, 0, before), dim))
+            whole.narrow(dim, end - 1 - after, after).add_(turned(whole.narrow(dim, end, after), dim))
         return whole[:, :, top : whole.shape[2] - bottom, left : whole.shape[3] - right], None
+
+
+def turned(x: Tensor, dim: int) -> Tensor:
+    """Mirrored along a dimension; one pixel needs no copy."""
+    return x.flip(dim) if x.shape[dim] > 1 else x
 
 
 class Conv2d(nn.Conv2d):

@@ -111,7 +111,7 @@ class Trainer:
     def _prepare(self, make_model: Callable[[], Stage], checkpoint: dict[str, Any] | None) -> None:
         """Model and optimiser, new or as the checkpoint has them, on this process's device."""
         set_seed(self.seed)
-        compute_repeatably()
+        compute_repeatably(self.settings.deterministic)
         model = make_model()
         if self.settings.channels_last:
             model = model.to(memory_format=torch.channels_last)
@@ -168,9 +168,9 @@ class Trainer:
                 logged = step % self.settings.log_every == 0 or step in (1, self.total)
                 output, statistics = self._step(step, batches, logged)
                 bar.update()
-                if step == self.start + 1:
-                    self.waited = 0.0  # the loader's processes had to begin
-                if log and step == self.start + 100 and (share := self.waited / (time.perf_counter() - began)) > 0.2:
+                if step == self.start + 1:  # at which the loader's processes begin, and a program may be compiled
+                    self.waited, counted_from = 0.0, time.perf_counter()
+                if log and step == self.start + 100 and (share := self.waited / (time.perf_counter() - counted_from)) > 0.2:
                     mend = f"raise training.workers (now {self.settings.workers}), or put the frames on a faster disk"
                     tqdm.write(f"note: {share:.0%} of the time the training waits for frames; {mend}")
                 if logged:

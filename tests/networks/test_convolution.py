@@ -38,3 +38,9 @@ def test_a_gpus_mirrored_borders_are_torchs_and_keep_the_layout(padding, layout)
     weights = torch.rand_like(expected)
     slopes = [torch.autograd.grad((mirrored * weights).sum(), x)[0] for mirrored in (found, expected)]
     torch.testing.assert_close(*slopes)
+
+
+@pytest.mark.parametrize("size", [(2, 7), (1, 3)])
+def test_a_map_with_too_few_pixels_to_mirror_is_an_error(size):
+    with pytest.raises(RuntimeError):
+        Reflection.apply(torch.zeros(1, 1, *size), (3, 3, 2, 2))

@@ -1,5 +1,6 @@
 """A training that was stopped or killed, or could not write, goes on as if nothing had been."""
 
+import functools
 from unittest.mock import Mock
 
 import pandas as pd
@@ -9,6 +10,7 @@ from small_nets import equal
 from small_training import STEPS, WIDE, at_forward, kill, kill_softly, log_of
 
 from dualdepth.training.checkpoints import last_checkpoint
+from dualdepth.training.loop import Trainer
 from dualdepth.training.stages import Stage
 from dualdepth.training.weights import load_card
 
@@ -61,6 +63,22 @@ def test_the_running_mean_of_weights_after_a_corridor_is_kept_and_goes_on_after_
         with pytest.raises(SystemExit):
             run("cut", profile=profile, kind=at_forward(number, kill_softly))
     assert equal(run("cut", profile=profile), mean)
+
+
+def test_a_compiled_training_that_was_cut_off_goes_on_to_the_same_weights(run, profile_of, monkeypatch, tmp_path):
+    monkeypatch.setattr(torch, "compile", functools.partial(torch.compile, backend="eager"))  # all but the code, which takes minutes
+    profile, save = profile_of(training={"compile": True, "checkpoint_every": 3}), Trainer._save
+
+    def save_and_break(trainer, step):
+        save(trainer, step)
+        raise ArithmeticError
+
+    whole = run("whole", profile=profile)
+    with monkeypatch.context() as context, pytest.raises(ArithmeticError):
+        context.setattr(Trainer, "_save", save_and_break)
+        run("cut", profile=profile)
+    assert last_checkpoint(tmp_path / "cut")["step"] == 3
+    assert equal(run("cut", profile=profile), whole)
 
 
 @pytest.mark.parametrize(("after", "refined"), [(None, STEPS * [False]), (2, 2 * [False] + (STEPS - 2) * [True])])
