@@ -58,3 +58,13 @@ def test_disparity_may_have_any_scale_and_translations_have_that_of_its_mean(vie
     tenth = torch.tensor([0.1, 0.1, 0.1, 1, 1, 1])
     found = refined(images, disparity, 1.1 * MOTIONS, MATRIX)
     assert torch.allclose(refined(images, 7 * disparity, 1.1 * MOTIONS * tenth, MATRIX, 10.0), found * tenth, atol=1e-5)
+
+
+def test_a_sharp_turn_is_found_from_nothing_at_the_papers_size():
+    draw = torch.Generator().manual_seed(0)
+    source = F.interpolate(torch.rand(1, 3, 16, 52, generator=draw), (128, 416), mode="bicubic").clamp(0, 1)
+    disparity, matrix = torch.ones(1, 1, 128, 416), torch.tensor([[[241.0, 0, 208], [0, 241.0, 60], [0, 0, 1]]])
+    turn = torch.tensor([[[0.0, 0, 0, 0, 0.057, 0]]])  # 3.3°
+    target = sample(source, reproject(disparity, pose_matrix(turn[:, 0]), matrix)[0])
+    found = refined(torch.stack([target, source], 1), disparity, torch.zeros(1, 1, 6), matrix)
+    assert (found - turn).abs().max() < 2e-3
