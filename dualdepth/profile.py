@@ -84,9 +84,9 @@ class Profile(Settings):
         """The trainings of stages 1 and 2 whose PoseNets are scored.
 
         On KITTI the drives of the depth tables and the odometry sequences overlap, so each has trainings of its own; in the synthetic
-        world they share no street, and those of the depth tables are scored.
+        world, and in a profile that trains on no sequence, those of the depth tables are scored.
         """
-        return ("lr", "dual") if self.world else ("odometry_lr", "odometry_dual")
+        return ("odometry_lr", "odometry_dual") if self.odometry_sequences()[0] and not self.world else ("lr", "dual")
 
     def odometry_sequences(self) -> tuple[list[str], list[str]]:
         """Odometry sequences to train on and to score."""

@@ -87,7 +87,8 @@ class Data(Settings):
     allow_missing: bool = False
     """Score what is there of an incomplete test list, and say "25 of 697" in the table."""
     odometry_train: list[str] = [f"{number:02d}" for number in range(9)]
-    """Odometry sequences to train on, with `:image_0` for another camera than image_2; the paper's. The synthetic world has its own."""
+    """Odometry sequences to train on, with `:image_0` for another camera than image_2; the paper's. The synthetic world has its own. Where
+    there are none, the PoseNets of the depth tables are scored."""
     odometry_test: list[str] = ["09", "10"]
     """Odometry sequences to score; the paper's. The synthetic world has its own."""
     hr_size: HRSize = (384, 1248)

@@ -35,11 +35,13 @@ def odometry_scores(run: Run, seeds: Sequence[int]) -> Scores:
         frames = {t.seed: pd.concat([trajectories.follow(t, entry, refine=True) for entry in entries]) for t in of_seeds}
         scores = scores.plus(variant + REFINED, frames, "")
         scores.trainings[variant + REFINED] = of_seeds
-    known = "" if reason else f"the mean step of sequences {' '.join(trajectories.known_sequences(run))}, never turning"
+    unknown = reason or ("" if run.profile.odometry_sequences()[0] else "no sequence is trained on, whose mean step this would be")
+    known = "" if unknown else f"the mean step of sequences {' '.join(trajectories.known_sequences(run))}, never turning"
     notes = {"constant": known, "straight": "a metre a frame along the optical axis", "inverted": "a mistake that snippets hardly see"}
     for name in trajectories.CONTROLS:
-        frames = None if reason else {SEEDLESS: pd.concat([trajectories.follow_control(run, name, entry) for entry in entries])}
-        scores = scores.plus(name, frames, reason or f"control: {notes[name]}")
+        missing = unknown if name == "constant" else reason
+        frames = None if missing else {SEEDLESS: pd.concat([trajectories.follow_control(run, name, entry) for entry in entries])}
+        scores = scores.plus(name, frames, missing or f"control: {notes[name]}")
     return scores
 
 
@@ -71,7 +73,7 @@ def odometry_table(run: Run, scores: Scores) -> pd.DataFrame:
     Besides the paper's columns `snippet_ate_mean_SS` and `snippet_ate_std_SS` (over the snippets of sequence SS, metres): true RMSE of the
     snippets, errors of the whole trajectory aligned with 7dof, `n_SS` snippets, and standard deviations over seeds.
     """
-    rows, train = [], [] if run.profile.world else [f"sequences {' '.join(run.profile.odometry_sequences()[0])}"]
+    rows, train = [], [f"sequences {' '.join(run.profile.odometry_sequences()[0])}"] if "odometry_lr" in run.profile.pose_variants else []
     for length in trajectories.LENGTHS:
         cut = f"snippets of {length} frames, {'each from one triplet' if length == 3 else 'cut from the trajectory'}"
         for name, method in _methods(run, scores).items():
@@ -155,7 +157,7 @@ def odometry_claims(run: Run, scores: Scores) -> pd.DataFrame:
     trained, refined = ([v for v in ours if v.endswith(REFINED) == beyond] for beyond in (False, True))
     stages = [*zip(trained[1:], trained), *zip(refined[1:], refined), *zip(refined, trained)]
     for sequence in names(run) if ours else ():
-        for a, b in (*product(ours, trajectories.CONTROLS), *stages):
+        for a, b in (*product(ours, [name for name in trajectories.CONTROLS if name not in scores.missing]), *stages):
             place = f"sequence {sequence}"
             rows.append({"of": place, "a": a, "b": b, "metric": "t_err"} | _t_errs(*(scores.of(v, f"{sequence}, 7dof") for v in (a, b))))
             for row in paired(scores, a, b, ["ate"], part=f"{sequence}, 3 frames", block=BLOCK, of=place):

@@ -106,10 +106,10 @@ def run(tmp_path, net):
     return run
 
 
-def save(run, net, drives):
+def save(run, net, drives, variant="odometry_lr"):
     card = {"hr_size": list(SIZE), "drives": drives, "pretrained": False, "steps": 2, "starts_from": None}
     architecture = Architecture(network="lr", encoder="resnet18")
-    path = run.weights("odometry_lr", 0)
+    path = run.weights(variant, 0)
     path.parent.mkdir(parents=True, exist_ok=True)
     both = torch.nn.ModuleDict({"pose_net": net, "depth_net": architecture.build(False)})
     save_weights(path, both, card | architecture.model_dump() | {"seed": 0})
@@ -273,5 +273,19 @@ def test_a_pose_net_that_turns_half_as_far_and_always_to_the_left(run, monkeypat
 
 def test_in_the_synthetic_world_the_depth_tables_pose_nets_are_scored(run):
     assert run.profile.pose_variants == ("odometry_lr", "odometry_dual")
+    assert Run("sample").profile.pose_variants == ("lr", "dual") and Run("sample_odometry").profile.pose_variants[0] == "odometry_lr"
     world = Run("tiny")
     assert (world.profile.pose_variants, table_module.sequences(world)) == (("lr", "dual"), ["09", "10"])
+
+
+def test_where_no_sequence_is_trained_on_the_depth_tables_pose_net_is_scored_and_no_mean_step_is_known(run, net, tmp_path):
+    data = {"source": "kitti", "train_drives": ["d"], "odometry_train": [], "odometry_test": ["09"], "hr_size": SIZE}
+    (tmp_path / "other").mkdir()
+    other = Run(write_profile(tmp_path / "other/other.yaml", "resnet18", {}, data=data, train={"lr": None}), tmp_path)
+    Sources.load(run).save(other)
+    save(other, net, ["2011_10_03/2011_10_03_drive_0027_sync"], "lr")
+    scores = odometry_scores(other, [0])
+    table = odometry_table(other, scores).query("frames == 3").set_index("method")
+    assert table.loc["Constant velocity", "source"] == "not run" and "no sequence is trained on" in table.loc["Constant velocity", "reason"]
+    assert table.loc["Straight ahead", "source"] == "measured" and "sequences" not in table.loc["Ours (LR-Net)", "note"]
+    assert {*odometry_claims(other, scores)["b"]} == {"straight", "inverted", "lr"}
