@@ -29,7 +29,13 @@ def results_of(project):
 
     def make(profile, dirty=()):
         run = Run(profile)
-        for file in ("tables/main.csv", "tables/ablation.csv", "figures/main_depth.png", "notebooks/05.ipynb"):
+        for file in (
+            "tables/main.csv",
+            "tables/ablation.csv",
+            "figures/main_depth.png",
+            "figures/distance_errors.png",
+            "notebooks/05.ipynb",
+        ):
             path = run.results / file
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(f"of {file}")
@@ -46,7 +52,8 @@ def published(project, profile="tiny"):
 
 
 TABLES = {"tables/main.csv", "tables/main.json", "tables/ablation.csv", "tables/ablation.json"}
-FIGURES = {"figures/main_depth.png", "figures/main_depth.json"}
+PLOTS = {"figures/distance_errors.png", "figures/distance_errors.json"}
+FIGURES = {"figures/main_depth.png", "figures/main_depth.json"} | PLOTS
 
 
 def test_tables_and_figures_of_a_made_world_are_kept_with_their_stamps_and_older_ones_go(project, results_of):
@@ -54,12 +61,12 @@ def test_tables_and_figures_of_a_made_world_are_kept_with_their_stamps_and_older
     old = project / "results/published/tiny/tables/old.csv"
     old.parent.mkdir(parents=True)
     old.touch()
-    assert publish_results("tiny") == 6
+    assert publish_results("tiny") == 8
     assert published(project) == TABLES | FIGURES
     assert (project / "results/published/tiny/tables/main.csv").read_text() == "of tables/main.csv"
     (project / "own.yaml").write_text(KITTI)  # pictures of real frames stay out
     results_of(str(project / "own.yaml"))
-    assert publish_results(str(project / "own.yaml")) == 4 and published(project, "own") == TABLES
+    assert publish_results(str(project / "own.yaml")) == 6 and published(project, "own") == TABLES | PLOTS
 
 
 def test_results_of_code_that_was_not_committed_are_refused_by_name(project, results_of):

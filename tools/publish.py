@@ -20,6 +20,7 @@ LIMITS = (
     "In a street seen from a car, road, facades, near objects and the open distance can be told apart, most poles, cars farther off and"
     " outlines cannot; upright photos, people close by and rooms come out wrong."
 )
+PLOTS = ("backbone_cost", "distance_errors", "odometry_motions", "odometry_trajectories")  # Figures without a frame in them.
 LICENCE = "CC BY-NC-SA 3.0, as KITTI's images from which they were learned, for non-commercial research"
 
 
@@ -36,9 +37,10 @@ def publish_results(profile: str) -> int:
         raise InputError(f"{run.results}: {', '.join(dirty)} were made by code that was not committed; commit it and run again")
     target = run.root / "results" / "published" / run.profile.name
     shutil.rmtree(target, ignore_errors=True)
-    for folder in ("tables", "figures") if run.profile.world else ("tables",):  # frames of real data sets are not ours to publish
-        if (run.results / folder).is_dir():
-            shutil.copytree(run.results / folder, target / folder)
+    for path in (path for folder in ("tables", "figures") for path in (run.results / folder).glob("*")):
+        if run.profile.world or path.parent.name == "tables" or path.stem in PLOTS:  # frames of real data sets are not ours to publish
+            (target / path.parent.name).mkdir(parents=True, exist_ok=True)
+            shutil.copy2(path, target / path.parent.name)
     if run.profile.world and run.profile.name != "tiny":  # whose executed notebooks are the stored ones
         for path in sorted((run.results / "notebooks").glob("*.ipynb")):
             _store(path, target / "notebooks" / path.name, small=True)
@@ -65,7 +67,12 @@ def publish_weights(profile: str) -> None:
         raise InputError(f"{run.results}: only weights of one seed from KITTI come with the package, scored on drives they did not see")
     model = load(run.weights("dual", run.profile.seeds[0]), "cpu")
     scores = {name: float(row[name]) for name in ("abs_rel", "rmse", "a1")}
-    model.card |= {"scores": scores, "scored_on": f"{int(row['n'])} frames of other drives of KITTI", "limits": LIMITS, "licence": LICENCE}
+    model.card |= {
+        "scores": scores,
+        "scored_on": f"{int(row['n'])} frames of other drives of KITTI, on which the recipe was chosen",
+        "limits": LIMITS,
+        "licence": LICENCE,
+    }
     shutil.rmtree(RELEASED, ignore_errors=True)  # a page that is there would be kept
     model.save_pretrained(RELEASED)
     card = {key: value for key, value in model.card.items() if key != "sha256"}
