@@ -8,7 +8,8 @@ import torch
 
 from dualdepth.profile import load_profile
 from tools import bench_gpu
-from tools.bench import floors, median_step
+from tools.bench import beside_a_peer, floors, inference_parts, make_net, timed_steps
+from tools.peer import Peer
 
 
 @pytest.mark.slow
@@ -18,11 +19,28 @@ def test_a_step_is_timed_by_its_parts(name, encoder):
     images = torch.randint(0, 255, (1, 3, 3, 192, 192), dtype=torch.uint8)
     matrix = torch.tensor([[[200.0, 0, 96], [0, 200, 96], [0, 0, 1]]])
     batch = {"images": images, "intrinsics": matrix}
-    found = median_step(name, training, batch, torch.device("cpu"), 1)
+    found = {part: values[0] for part, values in timed_steps(name, training, batch, torch.device("cpu"), 1).items()}
     parts = [found.pop(part) for part in ("networks", "losses", "backward", "optimiser")]
     assert min(parts) > 0 and sum(parts) == pytest.approx(found["step"]) and found["peak_mb"] > 100
     floor = floors(name, training, batch, torch.device("cpu"), "float32")
     assert (floor["backward"] == pytest.approx(2 * floor["networks"])) == (name == "lr") and min(floor.values()) > 0
+
+
+@pytest.mark.slow
+def test_a_peers_step_is_timed_beside_ours_and_inference_by_its_parts(encoder):
+    training = load_profile("tiny").training.model_copy(update={"precision": "float32"})
+    batch = {"images": torch.randint(0, 255, (1, 3, 3, 192, 192), dtype=torch.uint8), "intrinsics": torch.eye(3)[None]}
+    found = beside_a_peer(training, batch, torch.device("cpu"), 2)
+    assert {name: len(values) for name, values in found.items()} == {"ours": 2, "peer": 2} and min(*found["ours"], *found["peer"]) > 0
+    parts = inference_parts(make_net("dual", encoder).eval(), torch.rand(1, 3, 192, 192), "float32", 1)
+    whole = parts.pop("whole")[0]
+    assert len(parts) == 3 and min(parts.values())[0] > 0 and sum(values[0] for values in parts.values()) < whole
+
+
+def test_the_peers_depth_network_has_the_papers_size():
+    depth_net = Peer().depth_net
+    classifier = 512 * 1000 + 1000  # counted by its authors, 14.84 million with it
+    assert sum(p.numel() for p in depth_net.parameters()) + classifier == pytest.approx(14.84e6, rel=1e-3)
 
 
 @pytest.mark.slow
