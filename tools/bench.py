@@ -123,11 +123,14 @@ def step_of(net: nn.Module, loss: Callable[[], torch.Tensor], device: torch.devi
 
 
 def beside_a_peer(training: Training, batch: dict[str, Any], device: torch.device, repeats: int) -> dict[str, list[float]]:
-    """Seconds of a step of stage 1 (`ours`) and of monodepth2's (`peer`) at LR-Net's size, both with ResNet18, in turns."""
+    """Seconds of a step of stage 1, as the paper has it (`ours`) and without its feature loss (`plain`), which sends three views through
+    LR-Net instead of one, and of monodepth2's (`peer`) at LR-Net's size, all with ResNet18, in turns."""
     images, matrix = low_resolution(to_unit(batch["images"])), resize_intrinsics(batch["intrinsics"], 1 / 3, 1 / 3)
-    ours = Stage(LRNet("resnet18"), PoseNet(), training, low=True).to(device, memory_format=torch.channels_last).train()
-    peer = Peer().to(device, memory_format=torch.channels_last).train()
-    losses = {"ours": (ours, lambda: ours(batch).losses.total), "peer": (peer, lambda: peer(images, matrix))}
+    without = training.model_copy(update={"loss": training.loss.model_copy(update={"feature": 0})})
+    stages = {name: Stage(LRNet("resnet18"), PoseNet(), t, low=True) for name, t in {"ours": training, "plain": without}.items()}
+    nets = {name: net.to(device, memory_format=torch.channels_last).train() for name, net in {**stages, "peer": Peer()}.items()}
+    losses = {name: (net, lambda net=net: net(batch).losses.total) for name, net in nets.items()}
+    losses["peer"] = (nets["peer"], lambda: nets["peer"](images, matrix))
     return in_turns({name: step_of(net, loss, device, training.precision) for name, (net, loss) in losses.items()}, device, repeats)
 
 
@@ -230,7 +233,8 @@ def measurements(profile: Profile, encoder: str, repeats: int) -> Iterator[tuple
     yield "  loading a batch on one core / step", [statistics.median(load) * 4 / statistics.median(step["step"])], "ratio"
     beside = beside_a_peer(training, batch, device, repeats)
     yield f"monodepth2's step, resnet18 {low}, batch 4, {training.precision}", beside["peer"], "s"
-    yield "  stage 1 step with resnet18 / monodepth2's, in turns", ratios(beside["ours"], beside["peer"]), "ratio"
+    for name, what in {"ours": "", "plain": ", without feature loss"}.items():
+        yield f"  stage 1 step with resnet18{what} / monodepth2's, in turns", ratios(beside[name], beside["peer"]), "ratio"
 
     # stage 2 against a ResNet18 network with the same decoder; a process for each, since its peak of memory is measured
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"), max_tasks_per_child=1) as pool:
