@@ -38,6 +38,7 @@ from dualdepth.training.stages import Stage, StageOutput
 from dualdepth.training.weights import save_weights
 
 CORRIDOR_RATE = 1e-3  # Learning rate while the paper's PoseNet learns alone.
+WATCHED = 100  # Steps after which it is said that they wait for frames, if they do.
 
 
 def learning_rate(stage: StageSettings, step: int, total: int) -> float:
@@ -170,7 +171,7 @@ class Trainer:
                 bar.update()
                 if step == self.start + 1:  # at which the loader's processes begin, and a program may be compiled
                     self.waited, counted_from = 0.0, time.perf_counter()
-                if log and step == self.start + 100 and (share := self.waited / (time.perf_counter() - counted_from)) > 0.2:
+                if log and step == self.start + WATCHED and (share := self.waited / (time.perf_counter() - counted_from)) > 0.2:
                     mend = f"raise training.workers (now {self.settings.workers}), or put the frames on a faster disk"
                     tqdm.write(f"note: {share:.0%} of the time the training waits for frames; {mend}")
                 if logged:

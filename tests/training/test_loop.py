@@ -3,6 +3,7 @@
 import json
 import multiprocessing
 import signal
+import time
 
 import pandas as pd
 import pytest
@@ -12,9 +13,12 @@ from small_kitti import DRIVE
 from small_nets import equal
 from small_training import STEPS, WIDE, at_forward
 
+from dualdepth.data import loading
+from dualdepth.data.kitti import read_image
 from dualdepth.device import has_bf16
 from dualdepth.errors import InputError
 from dualdepth.profile import load_profile
+from dualdepth.training import loop
 from dualdepth.training.checkpoints import last_checkpoint
 from dualdepth.training.loop import learning_rate, total_steps
 from dualdepth.training.stages import Stage
@@ -117,6 +121,15 @@ def test_where_a_step_cannot_be_compiled_training_goes_on_as_without(run, profil
     monkeypatch.setattr(torch.compiler, "set_stance", stances.append)
     assert equal(plain, run("compiled", profile=profile_of(training={"compile": True})))
     assert stances == ["force_eager"] and "no compiler" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seconds", [0.0, 1.0])
+def test_a_training_that_waits_for_frames_says_so(run, profile_of, monkeypatch, capsys, seconds):
+    monkeypatch.setattr(loop, "WATCHED", STEPS - 1)
+    monkeypatch.setattr(loading, "read_image", lambda path: time.sleep(seconds / 3) or read_image(path))
+    run(profile=profile_of(training={"workers": 0}))
+    assert ("of the time the training waits for frames; raise training.workers (now 0)" in capsys.readouterr().out) == (seconds > 0)
 
 
 def test_the_learning_rate_steps_down_at_the_papers_epochs():
