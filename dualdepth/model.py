@@ -22,7 +22,7 @@ from dualdepth.geometry import low_resolution, pose_matrix, resize_intrinsics, t
 from dualdepth.networks import PoseEncoder
 from dualdepth.networks.architecture import Architecture, HRSize
 from dualdepth.networks.pose_net import EncoderPoseNet, PoseNet, make_pose_net
-from dualdepth.refinement import refined
+from dualdepth.refinement import LARGE, refined
 from dualdepth.training.weights import HUB_CARD, load_card, load_weights, save_weights
 
 WEIGHTS = "model.safetensors"
@@ -237,7 +237,8 @@ def predict_poses(
                 matrix = resize_intrinsics(torch.tensor(intrinsics, dtype=torch.float32, device=device), *share)
                 disparity = torch.stack(near[1:-1]).to(device)
                 mean = depth.card.get("mean_disparity", 1.0)
-                found = refined(views, disparity, found, matrix.expand(len(views), 3, 3), mean)
+                iterations = 6 if views.shape[-2] >= LARGE else 3  # at 64×192 three are enough
+                found = refined(views, disparity, found, matrix.expand(len(views), 3, 3), mean, iterations)
                 found[..., :3] *= mean / disparity.mean(dim=(1, 2, 3))[:, None, None]  # their own scale changes less from frame to frame
             poses.append(pose_matrix(found.double()).cpu())
             frames, near = frames[-2:], near[-2:]

@@ -6,13 +6,16 @@ from torch.nn import functional as F
 
 from dualdepth.geometry import pose_matrix, pose_of, reproject, resize_intrinsics, sample
 
-LEVELS = {8: 10, 4: 3, 2: 3, 1: 3}  # Times that images are shrunk, one after the other, and iterations.
-FEWEST_ROWS = 12  # Of a shrunk image. At 128×416 a car's turn of 3° moves the image by 14 pixels, and only the first level finds it.
+LEVELS = (4, 2, 1)  # Times that images are shrunk, one after the other.
+TURNS = 8  # Times that larger images are shrunk at first, for turns alone: at 128×416 one of 3° moves the image by 14 pixels.
+LARGE = 96  # Rows from which images are large.
 DAMPING = 1e-3  # Of each Gauss-Newton step, as a share of the matrix's diagonal.
 
 
 @torch.no_grad()
-def refined(images: Tensor, disparity: Tensor, poses: Tensor, intrinsics: Tensor, mean_disparity: float = 1.0) -> Tensor:
+def refined(
+    images: Tensor, disparity: Tensor, poses: Tensor, intrinsics: Tensor, mean_disparity: float = 1.0, iterations: int = 3
+) -> Tensor:
     """Poses after Gauss-Newton steps that lower the difference of target and warped sources, without gradient: (B, S, 6).
 
     A pose after which they differ more stays as it was.
@@ -23,21 +26,22 @@ def refined(images: Tensor, disparity: Tensor, poses: Tensor, intrinsics: Tensor
         poses: (B, S, 6), target → source, such as PoseNet's.
         intrinsics: (B, 3, 3) at the images' size.
         mean_disparity: that disparities are divided to, in whose unit translations are (`settings.Loss`).
+        iterations: at each level.
     """
     sources = images.shape[1] - 1
     grey = images.float().mean(dim=2)
     disparity = F.adaptive_avg_pool2d(disparity.float(), images.shape[-2:])
     disparity = mean_disparity * disparity / disparity.mean(dim=(2, 3), keepdim=True)
     start = transform = pose_matrix(poses.float()).flatten(0, 1)
-    for shrunk, iterations in LEVELS.items():
-        if grey.shape[-2] < FEWEST_ROWS * shrunk:
-            continue
+    for shrunk in (*[TURNS] * (grey.shape[-2] >= LARGE), *LEVELS):
         small = F.avg_pool2d(grey, shrunk)
         mean = _mean(small)
         small = (small - mean) / ((_mean(small * small) - mean * mean).clamp(min=0).sqrt() + 0.03)  # whatever the exposure was
         level = F.avg_pool2d(disparity, shrunk), resize_intrinsics(intrinsics, 1 / shrunk, 1 / shrunk)
         steps = _Steps(small[:, :1], small[:, 1:], *(value.repeat_interleave(sources, 0) for value in level))
-        for _ in range(iterations):
+        if shrunk == TURNS:  # so small, directions of steps are uncertain, and would lead astray
+            steps.jacobian[:, :3] = 0.0
+        for _ in range(6 if shrunk == TURNS else iterations):
             transform = steps.next(transform)
     better = steps.error(transform) < steps.error(start)
     return torch.where(better[:, None], pose_of(transform), poses.float().flatten(0, 1)).unflatten(0, (-1, sources))
