@@ -4,6 +4,8 @@ Pixel (0, 0) is the centre of the first pixel everywhere, so that resizing by a 
 as OpenCV's and torch's (`align_corners=False`) resizing do.
 """
 
+import itertools
+
 import torch
 from torch import Tensor
 from torch.nn import functional as F
@@ -118,15 +120,11 @@ def gathered(image: Tensor, pixel: Tensor) -> Tensor:
     left, top = u.detach().floor(), v.detach().floor()
     rows = image.permute(0, 2, 3, 1).flatten(0, 2)  # (B·h·w, C)
     first = height * width * torch.arange(batch, device=image.device)[:, None, None]
-    result = torch.zeros((), device=image.device)
-    for x, y, share in (
-        (left, top, (1 + left - u) * (1 + top - v)),
-        (left + 1, top, (u - left) * (1 + top - v)),
-        (left, top + 1, (1 + left - u) * (v - top)),
-        (left + 1, top + 1, (u - left) * (v - top)),
-    ):
+    across, down = ((left, 1 + left - u), (left + 1, u - left)), ((top, 1 + top - v), (top + 1, v - top))
+    result = 0.0
+    for (x, share), (y, other) in itertools.product(across, down):
         index = first + width * y.long().clamp(max=height - 1) + x.long().clamp(max=width - 1)
-        result = result + share[..., None] * rows[index]
+        result = result + (share * other)[..., None] * rows[index]
     return result.permute(0, 3, 1, 2)
 
 
