@@ -172,7 +172,8 @@ def odometry_sequences(run: Run, sources: Sources) -> tuple[list[str], list[str]
     Raises:
         InputError: a sequence to train on or to score is not there, or is both.
     """
-    if sources.odometry_root is None or run.profile.world or not set(run.profile.pose_variants) & set(run.profile.train):
+    used = run.profile.trained_on("odometry") or (not run.profile.world and set(run.profile.pose_variants) & set(run.profile.train))
+    if sources.odometry_root is None or not used:
         return [], []
     root, (train, test) = check_odometry_root(sources.odometry_root), run.profile.odometry_sequences()
     for entry in test:

@@ -51,7 +51,7 @@ def default_device() -> "torch.device":
 
 def choose_device(name: "str | torch.device | None") -> "torch.device":
     """The device that a user asks for, or for None a CUDA GPU, Apple's, or the CPU, the first that is there. An `InputError` says that it
-    is unknown or not to be had here."""
+    is unknown or not to be had here. From then on the process computes convolutions of float32 in float32, not in TF32."""
     import torch
 
     torch.backends.cudnn.allow_tf32 = False  # float32 is to be float32, of convolutions, too
@@ -104,7 +104,7 @@ def inference_precision(precision: str | None, device: "torch.device") -> Precis
 
 
 def compute_repeatably(repeatably: bool = True) -> None:
-    """Have torch take algorithms that give the same bits each time, or any again, for the rest of the process."""
+    """Have torch take algorithms that give the same bits each time, or let it take any, for the rest of the process."""
     import torch
 
     os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # else cuBLAS is free to choose

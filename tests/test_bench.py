@@ -40,7 +40,7 @@ def test_a_peers_step_is_timed_beside_ours_and_inference_by_its_parts(encoder):
 
 def test_the_peers_depth_network_has_the_papers_size():
     depth_net = Peer().depth_net
-    classifier = 512 * 1000 + 1000  # counted by its authors, 14.84 million with it
+    classifier = 512 * 1000 + 1000  # HR-Depth (Lyu et al., 2021) counts 14.84 million with it
     assert sum(p.numel() for p in depth_net.parameters()) + classifier == pytest.approx(14.84e6, rel=1e-3)
 
 

@@ -30,7 +30,7 @@ from dualdepth.networks.architecture import Architecture
 from dualdepth.networks.depth_nets import DualNet, LRNet
 from dualdepth.networks.pose_net import PoseNet
 from dualdepth.profile import Profile, load_profile
-from dualdepth.settings import Training
+from dualdepth.settings import Loss, Training
 from dualdepth.tables.backbone import let_see
 from dualdepth.training.stages import Stage
 from tools.peer import Peer
@@ -91,8 +91,16 @@ def timed_steps(name: str, training: Training, batch: dict[str, Any], device: to
         done = now()
         parts = {"networks": sum(marks), "losses": forward - began - sum(marks)}
         rows.append(parts | {"backward": backward - forward, "optimiser": done - backward, "step": done - began})
-    peak = torch.cuda.max_memory_allocated() if device.type == "cuda" else resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    peak = torch.cuda.max_memory_allocated() if device.type == "cuda" else peak_of_process()
     return {**pd.DataFrame(rows[2:]).to_dict("list"), "peak_mb": [peak / 1e6]}
+
+
+def peak_of_process() -> int:
+    """Most bytes that this process held; what `getrusage` says begins with its parent's."""
+    status = Path("/proc/self/status")
+    if status.exists():
+        return 1024 * int(status.read_text().partition("VmHWM:")[2].split()[0])
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
 def in_turns(works: dict[str, Callable[[], object]], device: torch.device, repeats: int) -> dict[str, list[float]]:
@@ -126,8 +134,11 @@ def beside_a_peer(training: Training, batch: dict[str, Any], device: torch.devic
     """Seconds of a step of stage 1, as the paper has it (`ours`) and without its feature loss (`plain`), which sends three views through
     LR-Net instead of one, and of monodepth2's (`peer`) at LR-Net's size, all with ResNet18, in turns."""
     images, matrix = low_resolution(to_unit(batch["images"])), resize_intrinsics(batch["intrinsics"], 1 / 3, 1 / 3)
-    without = training.model_copy(update={"loss": training.loss.model_copy(update={"feature": 0})})
-    stages = {name: Stage(LRNet("resnet18"), PoseNet(), t, low=True) for name, t in {"ours": training, "plain": without}.items()}
+    losses_of = {
+        name: training.loss.model_copy(update={"feature": weight}) for name, weight in {"ours": Loss().feature, "plain": 0}.items()
+    }
+    settings = {name: training.model_copy(update={"loss": loss}) for name, loss in losses_of.items()}
+    stages = {name: Stage(LRNet("resnet18"), PoseNet(), each, low=True) for name, each in settings.items()}
     nets = {name: net.to(device, memory_format=torch.channels_last).train() for name, net in {**stages, "peer": Peer()}.items()}
     losses = {name: (net, lambda net=net: net(batch).losses.total) for name, net in nets.items()}
     losses["peer"] = (nets["peer"], lambda: nets["peer"](images, matrix))
@@ -231,10 +242,11 @@ def measurements(profile: Profile, encoder: str, repeats: int) -> Iterator[tuple
     if "bf16" in steps:
         yield "  float32 step / bf16 step", [statistics.median(steps["float32"]["step"]) / statistics.median(step["step"])], "ratio"
     yield "  loading a batch on one core / step", [statistics.median(load) * 4 / statistics.median(step["step"])], "ratio"
-    beside = beside_a_peer(training, batch, device, repeats)
-    yield f"monodepth2's step, resnet18 {low}, batch 4, {training.precision}", beside["peer"], "s"
-    for name, what in {"ours": "", "plain": ", without feature loss"}.items():
-        yield f"  stage 1 step with resnet18{what} / monodepth2's, in turns", ratios(beside[name], beside["peer"]), "ratio"
+    for precision in precisions:
+        beside = beside_a_peer(training.model_copy(update={"precision": precision}), batch, device, repeats)
+        yield f"monodepth2's step, resnet18 {low}, batch 4, {precision}", beside["peer"], "s"
+        for name, what in {"ours": "", "plain": ", without feature loss"}.items():
+            yield f"  stage 1 step with resnet18{what} / monodepth2's, {precision}, in turns", ratios(beside[name], beside["peer"]), "ratio"
 
     # stage 2 against a ResNet18 network with the same decoder; a process for each, since its peak of memory is measured
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"), max_tasks_per_child=1) as pool:

@@ -37,8 +37,9 @@ def publish_results(profile: str) -> int:
         raise InputError(f"{run.results}: {', '.join(dirty)} were made by code that was not committed; commit it and run again")
     target = run.root / "results" / "published" / run.profile.name
     shutil.rmtree(target, ignore_errors=True)
-    for path in (path for folder in ("tables", "figures") for path in (run.results / folder).glob("*")):
-        if run.profile.world or path.parent.name == "tables" or path.stem in PLOTS:  # frames of real data sets are not ours to publish
+    for path in (path for folder in ("tables", "figures") for path in (run.results / folder).glob("*.*")):
+        # frames of real data sets are not ours to publish
+        if run.profile.world or path.parent.name == "tables" or path.stem in PLOTS:
             (target / path.parent.name).mkdir(parents=True, exist_ok=True)
             shutil.copy2(path, target / path.parent.name)
     if run.profile.world and run.profile.name != "tiny":  # whose executed notebooks are the stored ones

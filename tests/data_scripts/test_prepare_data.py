@@ -145,7 +145,8 @@ def with_odometry(project, tmp_path):
 
     def make(test="['09']", trained="odometry_lr: ", allow_leak=False):
         data = f"{{source: kitti, train_drives: [{TRAIN}], test_list: {test_list}, odometry_train: ['00'], odometry_test: {test}}}"
-        path.write_text(f"about: a test\ndata: {data}\ntrain: {{lr: , {trained}}}\n")
+        mine = "variants: {mine: {label: a, about: b, network: lr, trains_on: odometry}}"
+        path.write_text(f"about: a test\ndata: {data}\ntrain: {{lr: , {trained}}}\n{mine}\n")
         made = Run(str(path), run.root)
         prepare_data.find_data(made, str(kitti), odometry_root=str(root), allow_leak=allow_leak)
         return made
@@ -155,7 +156,7 @@ def with_odometry(project, tmp_path):
 
 def test_odometry_triplets_are_written_where_they_are_trained_on(with_odometry):
     make, _ = with_odometry
-    for trained, expected in (("odometry_lr: ", 3), ("", 0)):
+    for trained, expected in (("odometry_lr: ", 3), ("mine: ", 3), ("", 0)):
         run = make(trained=trained)
         assert prepare_data.prepare(run).odometry == expected and (run.prepared / "odometry.csv").exists() == bool(expected)
 

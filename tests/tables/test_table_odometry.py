@@ -1,5 +1,7 @@
 """From PoseNet's motions to trajectories and their scores, on sequences that are made here."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -89,6 +91,16 @@ def test_each_triplet_is_seen_once_target_first(net, tmp_path, batch_size):
         np.testing.assert_allclose(motions[k - 1], expected, atol=1e-6)
     with pytest.raises(InputError, match="2 frames"):
         predict_poses(net, SIZE, files[:2])
+
+
+@pytest.mark.parametrize(("size", "expected"), [(SIZE, 3), ((384, 576), 6)])
+def test_large_images_are_refined_in_more_steps(net, tmp_path, monkeypatch, size, expected):
+    write_sequence(tmp_path, "09", range(3))
+    files, asked = sorted((tmp_path / "sequences/09/image_2").iterdir()), []
+    monkeypatch.setattr("dualdepth.model.refined", lambda *given: asked.append(given[-1]) or given[2].clone())
+    depth = SimpleNamespace(disparities=lambda images: np.ones((len(images), 8, 8), np.float32), card={})
+    predict_poses(net, size, files, depth, sequence_intrinsics(tmp_path, "09"))
+    assert asked == [expected]
 
 
 @pytest.fixture

@@ -260,5 +260,7 @@ def test_on_a_gpu_a_step_is_the_same_and_its_gradients_add_up_in_a_fixed_order(l
 def deterministic():
     """As a training has it."""
     compute_repeatably()
-    yield
-    compute_repeatably(False)
+    try:
+        yield
+    finally:
+        compute_repeatably(False)
