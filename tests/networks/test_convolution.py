@@ -4,6 +4,8 @@ import pytest
 import torch
 from torch.nn import functional as F
 
+from dualdepth import geometry
+from dualdepth.networks import convolution
 from dualdepth.networks.convolution import Conv2d, Reflection, conv3x3
 from dualdepth.networks.encoders import make_encoder
 
@@ -44,3 +46,19 @@ def test_a_gpus_mirrored_borders_are_torchs_and_keep_the_layout(padding, layout)
 def test_a_map_with_too_few_pixels_to_mirror_is_an_error(size):
     with pytest.raises(RuntimeError):
         Reflection.apply(torch.zeros(1, 1, *size), (3, 3, 2, 2))
+
+
+@pytest.mark.slow
+def test_a_compiler_can_follow_a_gpus_borders_and_samples(monkeypatch):
+    monkeypatch.setattr(convolution, "GPU", "cpu")
+    net = torch.nn.Sequential(conv3x3(3, 4), torch.nn.ELU(), conv3x3(4, 2))
+
+    def work(image, pixel):
+        return geometry.gathered(net(image), pixel)
+
+    image, pixel = torch.rand(2, 3, 8, 12), 7 * torch.rand(2, 4, 5, 2)
+    found = torch.compile(work, backend="aot_eager", fullgraph=True, dynamic=False)(image, pixel)
+    expected = work(image, pixel)
+    torch.testing.assert_close(found, expected)
+    for slopes in zip(*(torch.autograd.grad(values.square().sum(), net.parameters()) for values in (found, expected))):
+        torch.testing.assert_close(*slopes)
