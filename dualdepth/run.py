@@ -82,7 +82,7 @@ _SHAPING = (
     *("training.encoder", "training.pretrained", "training.augmentation", "training.loss", "training.beyond_paper_residual"),
     *("training.beyond_paper_residual_floor", "training.beyond_paper_residual_anchor", "training.beyond_paper_corridor_steps"),
     *("training.beyond_paper_refined_after", "training.beyond_paper_pose_encoder", "training.beyond_paper_average"),
-    *("training.precision", "training.channels_last", "training.compile"),
+    *("training.precision", "training.channels_last", "training.compile", "training.deterministic"),
 )
 """Training settings that change the weights, beside the stage's own. Settings that only fit the machine are left out."""
 
