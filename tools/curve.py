@@ -38,7 +38,7 @@ def score(run: Run, name: str, checkpoint: Path) -> dict[str, float]:
     log = pd.read_csv(checkpoint.with_name("log.csv"))
     row = log[log["step"] <= state["step"]].iloc[-1]
     minutes = state["step"] / row["steps_per_second"] / 60  # of a training that was never resumed
-    return {"variant": name, "step": state["step"], "minutes": round(minutes, 1)} | summary(errors)
+    return {"variant": name, "step": state["step"], "minutes": round(float(minutes), 1)} | summary(errors)
 
 
 def drawn(table: pd.DataFrame) -> Figure:
@@ -54,6 +54,7 @@ def drawn(table: pd.DataFrame) -> Figure:
 
 
 def main() -> None:
+    """Score each new checkpoint until the trainings are done; the table and the figure are written anew each time."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("variants", nargs="+")
     parser.add_argument("--profile", default="sample")
@@ -66,7 +67,9 @@ def main() -> None:
             for path in sorted(set(checkpoint_paths(run.training(name, 0))) - done):
                 with contextlib.suppress(InputError, FileNotFoundError):  # it has just been deleted
                     rows.append(score(run, name, path))
-                    print({key: rows[-1][key] for key in ("variant", "step", "minutes", "abs_rel", "a1")}, flush=True)
+                    print(
+                        "{variant}: step {step}, {minutes} min, Abs Rel {abs_rel:.3f}, δ<1.25 {a1:.3f}".format(**rows[-1]), flush=True
+                    )
                 done.add(path)
         if rows:
             table = pd.DataFrame(sorted(rows, key=lambda row: (chosen.variants.index(row["variant"]), row["step"])))
