@@ -67,9 +67,7 @@ def main() -> None:
             for path in sorted(set(checkpoint_paths(run.training(name, 0))) - done):
                 with contextlib.suppress(InputError, FileNotFoundError):  # it has just been deleted
                     rows.append(score(run, name, path))
-                    print(
-                        "{variant}: step {step}, {minutes} min, Abs Rel {abs_rel:.3f}, δ<1.25 {a1:.3f}".format(**rows[-1]), flush=True
-                    )
+                    print("{variant}: step {step}, {minutes} min, Abs Rel {abs_rel:.3f}, δ<1.25 {a1:.3f}".format(**rows[-1]), flush=True)
                 done.add(path)
         if rows:
             table = pd.DataFrame(sorted(rows, key=lambda row: (chosen.variants.index(row["variant"]), row["step"])))
