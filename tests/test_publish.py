@@ -6,9 +6,11 @@ import json
 import cv2
 import nbformat
 import numpy as np
+import pandas as pd
 import pytest
 
 from dualdepth.errors import InputError
+from dualdepth.evaluation.depth import METRICS
 from dualdepth.model import DepthModel, load
 from dualdepth.profile import PROFILES
 from dualdepth.run import Run
@@ -51,6 +53,16 @@ def published(project, profile="tiny"):
     return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
 
 
+def picture():
+    """A cell's output that is a picture."""
+    return nbformat.v4.new_output("display_data", {"image/png": "aaaa"})
+
+
+def said(text):
+    """A cell's output that is text."""
+    return nbformat.v4.new_output("stream", text=text)
+
+
 TABLES = {"tables/main.csv", "tables/main.json", "tables/ablation.csv", "tables/ablation.json"}
 PLOTS = {"figures/distance_errors.png", "figures/distance_errors.json"}
 FIGURES = {"figures/main_depth.png", "figures/main_depth.json"} | PLOTS
@@ -65,8 +77,19 @@ def test_tables_and_figures_of_a_made_world_are_kept_with_their_stamps_and_older
     assert published(project) == TABLES | FIGURES
     assert (project / "results/published/tiny/tables/main.csv").read_text() == "of tables/main.csv"
     (project / "own.yaml").write_text(KITTI)  # pictures of real frames stay out
-    results_of(str(project / "own.yaml"))
-    assert publish_results(str(project / "own.yaml")) == 6 and published(project, "own") == TABLES | PLOTS
+    run = results_of(str(project / "own.yaml"))
+    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell("show()", outputs=[picture(), said("of the frames")])])
+    nbformat.write(notebook, run.results / "notebooks/05.ipynb")
+    scores = run.training("lr", 0) / "per_image.csv"
+    scores.parent.mkdir(parents=True)
+    pd.DataFrame({name: [1.0, 2.0] for name in METRICS}, index=pd.RangeIndex(2, name="image")).to_csv(scores)
+    assert publish_results(str(project / "own.yaml")) == 9
+    assert published(project, "own") == TABLES | PLOTS | {"tables/by_seed.csv", "tables/by_seed.json", "notebooks/05.ipynb"}
+    kept = project / "results/published/own"
+    outputs = nbformat.read(kept / "notebooks/05.ipynb", 4).cells[0].outputs
+    assert [output["output_type"] for output in outputs] == ["stream"]
+    row = pd.read_csv(kept / "tables/by_seed.csv").iloc[0]
+    assert (row["variant"], row["seed"]) == ("lr", 0) and (row[[*METRICS]] == 1.5).all()
 
 
 def test_results_of_code_that_was_not_committed_are_refused_by_name(project, results_of):
@@ -84,7 +107,7 @@ def test_weights_of_kitti_alone_come_with_the_package_with_scores_and_licence(pr
     monkeypatch.setattr("dualdepth.model.RELEASED", tmp_path / "released")
     (project / "own.yaml").write_text(KITTI)
     profile = str(project / "own.yaml") if kitti else "tiny"
-    run, model = Run(profile), DepthModel({"network": "hr", "hr_size": [192, 288], "about": "nothing"}, device="cpu")
+    run, model = Run(profile), DepthModel({"network": "hr", "hr_size": [192, 288], "about": "nothing", "drives": ["a"]}, device="cpu")
     model.save_pretrained(run.weights("dual", 0).parent)
     (run.results / "tables").mkdir(parents=True)
     row = f'"{run.profile.variant("dual").label}",0.2,5.0,0.7,26,{leak},measured'
@@ -95,6 +118,8 @@ def test_weights_of_kitti_alone_come_with_the_package_with_scores_and_licence(pr
         return
     publish_weights(profile)
     found = load(tmp_path / "released")
+    page = (tmp_path / "released/README.md").read_text()
+    assert "license: cc-by-nc-sa-3.0" in page.split("---")[1] and "Abs Rel 0.200, RMSE (m) 5.000, δ<1.25 0.700" in page
     assert found.card["scores"] == {"abs_rel": 0.2, "rmse": 5.0, "a1": 0.7} and "26 frames" in found.card["scored_on"]
     assert "CC BY-NC-SA 3.0" in found.about and f"the package's own weights: {found.about}" in capsys.readouterr().err
     assert (tmp_path / "released/model.safetensors").stat().st_size < 0.3 * 4 * sum(p.numel() for p in model.parameters())

@@ -25,7 +25,8 @@ LICENCE = "CC BY-NC-SA 3.0, as KITTI's images from which they were learned, for 
 
 
 def publish_results(profile: str) -> int:
-    """Copy `results/<profile>/{tables,figures}` to `results/published/<profile>/`; pictures of real frames stay out.
+    """Copy tables, figures and executed notebooks of `results/<profile>/` to `results/published/<profile>/`; pictures of real frames stay
+    out. Among the tables is `by_seed`, the scores of each training.
 
     Raises:
         InputError: the profile has no results yet, or some were made by code that was not committed.
@@ -35,6 +36,7 @@ def publish_results(profile: str) -> int:
     dirty = [p.name for p in sorted(run.results.glob("*/*.json")) if json.loads(p.read_text(encoding="utf-8"))["dirty"]]
     if dirty:
         raise InputError(f"{run.results}: {', '.join(dirty)} were made by code that was not committed; commit it and run again")
+    save_by_seed(run)
     target = run.root / "results" / "published" / run.profile.name
     shutil.rmtree(target, ignore_errors=True)
     for path in (path for folder in ("tables", "figures") for path in (run.results / folder).glob("*.*")):
@@ -42,12 +44,25 @@ def publish_results(profile: str) -> int:
         if run.profile.world or path.parent.name == "tables" or path.stem in PLOTS:
             (target / path.parent.name).mkdir(parents=True, exist_ok=True)
             shutil.copy2(path, target / path.parent.name)
-    if run.profile.world and run.profile.name != "tiny":  # whose executed notebooks are the stored ones
+    if run.profile.name != "tiny":  # whose executed notebooks are the stored ones
         for path in sorted((run.results / "notebooks").glob("*.ipynb")):
-            _store(path, target / "notebooks" / path.name, small=True)
+            _store(path, target / "notebooks" / path.name, "small" if run.profile.world else "none")
     files = sum(path.is_file() for path in target.rglob("*"))
     print(f"{target.relative_to(run.root)}: {files} files")
     return files
+
+
+def save_by_seed(run: Run) -> None:
+    """Write the mean scores of each training to the tables `by_seed`: those that the tables of the paper give the mean of."""
+    import pandas as pd
+
+    from dualdepth.evaluation.depth import METRICS
+
+    trainings = [(variant, seed) for variant in run.profile.train for seed in run.profile.seeds]
+    scores = {name: path for name in trainings if (path := run.training(*name) / "per_image.csv").exists()}
+    if scores:
+        means = pd.DataFrame({name: pd.read_csv(path)[[*METRICS]].mean() for name, path in scores.items()}).T
+        run.save_table(means.rename_axis(["variant", "seed"]).reset_index(), "by_seed", scores.values())
 
 
 def publish_weights(profile: str) -> None:
@@ -78,6 +93,14 @@ def publish_weights(profile: str) -> None:
     model.save_pretrained(RELEASED)
     card = {key: value for key, value in model.card.items() if key != "sha256"}
     save_weights(RELEASED / WEIGHTS, model, card, HUB_CARD, small=True)
+    page = RELEASED / "README.md"
+    text = page.read_text(encoding="utf-8").replace("pipeline_tag", "license: cc-by-nc-sa-3.0\npipeline_tag", 1)
+    names = {"abs_rel": "Abs Rel", "rmse": "RMSE (m)", "a1": "δ<1.25"}
+    numbers = ", ".join(f"{names[name]} {value:.3f}" for name, value in scores.items())
+    drives = "\n".join(f"- {drive}" for drive in model.card["drives"])
+    text += f"\nScored on {card['scored_on']}, each scaled by its median: {numbers}. Expect worse on others.\n"
+    text += f"\nLearned from these drives of KITTI:\n\n{drives}\n"
+    page.write_text(text, encoding="utf-8")
     print(f"{RELEASED}: {sum(path.stat().st_size for path in RELEASED.iterdir()) / 1e6:.1f} MB")
 
 
@@ -107,8 +130,11 @@ def _default_copy(source: Path, folder: Path) -> Path:
     raise InputError(f"{folder}: holds no copy of {source.name} with its own parameters; run `make reproduce` first")
 
 
-def _store(executed: Path, target: Path, small: bool = False) -> None:
-    """Write an executed notebook without papermill's traces and the checkout's place, with cells, ids and styled tables numbered anew."""
+def _store(executed: Path, target: Path, pictures: str = "as they are") -> None:
+    """Write an executed notebook without papermill's traces and the checkout's place, with cells, ids and styled tables numbered anew.
+
+    `pictures` are kept as they are, `small` or, for real frames, `none` of them.
+    """
     import nbformat
 
     notebook = nbformat.read(executed, as_version=4)
@@ -117,7 +143,7 @@ def _store(executed: Path, target: Path, small: bool = False) -> None:
         for key in ("papermill", "widgets", "execution"):
             part.metadata.pop(key, None)
     for number, cell in enumerate(notebook.cells):
-        if small and "parameters" in cell.metadata.get("tags", []):  # the stored ones name tiny
+        if pictures != "as they are" and "parameters" in cell.metadata.get("tags", []):  # the stored ones name tiny
             cell.source = cell.source.replace('profile = "tiny"', f'profile = "{executed.parents[1].name}"')
         cell.id = f"{executed.stem[:2]}-{number:02d}"
     for count, cell in enumerate((cell for cell in notebook.cells if cell.cell_type == "code"), 1):
@@ -128,8 +154,10 @@ def _store(executed: Path, target: Path, small: bool = False) -> None:
                 output.execution_count = count
             if html := data.get("text/html"):  # pandas draws a name for each styled table
                 data["text/html"] = re.sub(r"\bT_[0-9a-f]{5}(?=\b|_)", f"T_{count}_{place}", html)
-            if small and "image/png" in data:
+            if pictures == "small" and "image/png" in data:
                 data["image/jpeg"] = _small_jpeg(data.pop("image/png"))
+        if pictures == "none":
+            cell.outputs = [output for output in cell.outputs if not {"image/png", "image/jpeg"} & {*output.get("data", {})}]
     checkout = f"{executed.resolve().parents[3]}/"  # messages name files by their whole path
     with atomic_path(target) as partial:
         partial.write_text(nbformat.writes(notebook).replace(checkout, "") + "\n", encoding="utf-8")
