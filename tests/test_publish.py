@@ -35,7 +35,7 @@ def results_of(project):
             "tables/main.csv",
             "tables/ablation.csv",
             "figures/main_depth.png",
-            "figures/distance_errors.png",
+            "figures/backbone_cost.png",
             "notebooks/05.ipynb",
         ):
             path = run.results / file
@@ -64,7 +64,7 @@ def said(text):
 
 
 TABLES = {"tables/main.csv", "tables/main.json", "tables/ablation.csv", "tables/ablation.json"}
-PLOTS = {"figures/distance_errors.png", "figures/distance_errors.json"}
+PLOTS = {"figures/backbone_cost.png", "figures/backbone_cost.json"}
 FIGURES = {"figures/main_depth.png", "figures/main_depth.json"} | PLOTS
 
 

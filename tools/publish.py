@@ -20,7 +20,7 @@ LIMITS = (
     "In a street seen from a car, road, facades, near objects and the open distance can be told apart, most poles, cars farther off and"
     " outlines cannot; upright photos, people close by and rooms come out wrong."
 )
-PLOTS = ("backbone_cost", "distance_errors", "error_by_time", "odometry_motions", "odometry_trajectories")  # Figures without a frame.
+PLOTS = ("backbone_cost", "error_by_time", "odometry_motions", "odometry_trajectories")  # Figures without a frame in them.
 LICENCE = "CC BY-NC-SA 3.0, as KITTI's images from which they were learned, for non-commercial research"
 
 
