@@ -168,15 +168,16 @@ class Run:
             "profile": self.profile.name,
             "profile_sha256": hashlib.sha256(self.profile.model_dump_json().encode()).hexdigest(),
             "lock_sha256": file_digest(self.root / "environment.lock"),
-            "inputs_sha256": {str(p.relative_to(self.root) if p.is_relative_to(self.root) else p): file_digest(p) for p in inputs},
+            "inputs_sha256": {
+                str(p.relative_to(self.root if p.is_relative_to(self.root) else [*p.parents][:3][-1])): file_digest(p) for p in inputs
+            },
             **({"allow_leak": True} if self.sources.exists() and Sources.load(self).allow_leak else {}),
             "python": platform.python_version(),
             "machine": f"{platform.system()} {platform.machine()}",
         }
 
     def made_from(self, notebook: str, step: str, **kinds: Mapping[str, Any]) -> list[tuple[str, Any]]:
-        """All that shapes a step's result beside its input files, as (name, value), such as `("code losses", digest)`: of its notebook, of
-        `step` of `CODE`, and of more `kinds`; `setting={"evaluation": {"crop": "eigen"}}` gives `("setting evaluation.crop", "eigen")`."""
+        """All that shapes a step's result beside its input files, by name: its notebook, the `CODE` of `step`, and more `kinds`."""
         cells = {notebook: notebook_digest(self.root / "notebooks" / f"{notebook}.ipynb")}
         named = {"notebook": cells, "code": {part: _digest(part) for part in CODE[step]}, **kinds}
         return [(f"{kind} {name}", value) for kind, values in named.items() for name, value in _leaves(values)]

@@ -53,9 +53,10 @@ def published(project, profile="tiny"):
     return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
 
 
-def picture():
-    """A cell's output that is a picture."""
-    return nbformat.v4.new_output("display_data", {"image/png": "aaaa"})
+def pictures():
+    """A cell's outputs that are pictures."""
+    kinds = {"image/png": "aaaa", "image/jpeg": "aaaa", "image/svg+xml": "<svg/>", "text/html": "<p><img src='data:image/png;base64,aaaa'>"}
+    return [nbformat.v4.new_output("display_data", {kind: data, "text/plain": "a picture"}) for kind, data in kinds.items()]
 
 
 def said(text):
@@ -78,7 +79,7 @@ def test_tables_and_figures_of_a_made_world_are_kept_with_their_stamps_and_older
     assert (project / "results/published/tiny/tables/main.csv").read_text() == "of tables/main.csv"
     (project / "own.yaml").write_text(KITTI)  # pictures of real frames stay out
     run = results_of(str(project / "own.yaml"))
-    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell("show()", outputs=[picture(), said("of the frames")])])
+    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell("show()", outputs=[*pictures(), said("of the frames")])])
     nbformat.write(notebook, run.results / "notebooks/05.ipynb")
     scores = run.training("lr", 0) / "per_image.csv"
     scores.parent.mkdir(parents=True)

@@ -33,17 +33,21 @@ def test_the_root_is_found_from_below_and_asked_for_elsewhere(project, tmp_path_
         project_root()
 
 
-def test_a_table_is_written_with_a_stamp_that_says_what_made_it(project):
+def test_a_table_is_written_with_a_stamp_that_says_what_made_it(project, tmp_path_factory):
     run = Run("tiny")
     given = project / "input.csv"
     given.write_text("a\n1\n")
     table = pd.DataFrame({"abs_rel": [0.123456789]})
-    assert run.save_table(table, "main", [given], seeds=[0, 1]) is table
+    outside = tmp_path_factory.mktemp("data") / "poses" / "03.txt"
+    outside.parent.mkdir()
+    outside.write_text("a\n1\n")
+    assert run.save_table(table, "main", [given, outside], seeds=[0, 1]) is table
     path = project / "results/tiny/tables/main.csv"
     assert path.read_text() == "abs_rel\n0.123457\n"
     stamp = json.loads(path.with_suffix(".json").read_text())
     assert (stamp["profile"], stamp["seeds"], stamp["revision"]) == ("tiny", [0, 1], "unknown")  # outside of git
-    assert stamp["inputs_sha256"] == {"input.csv": hashlib.sha256(b"a\n1\n").hexdigest()}
+    digest = hashlib.sha256(b"a\n1\n").hexdigest()  # of a file outside the checkout no more is said than where it lies in its data set
+    assert stamp["inputs_sha256"] == {"input.csv": digest, f"{outside.parents[1].name}/poses/03.txt": digest}
     assert stamp["lock_sha256"] == hashlib.sha256(b"torch==2.13.0\n").hexdigest()
 
 

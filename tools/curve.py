@@ -2,7 +2,7 @@
 
 python -m tools.curve lr_plain lr dual --profile sample
 
-Run it beside the chain: a finished training deletes its checkpoints. The curve is for looking: what counts is the last step.
+Run it beside the chain: a finished training deletes its checkpoints. The curve is for looking: what counts is its last point, the weights.
 """
 
 import argparse
@@ -16,63 +16,79 @@ from matplotlib.figure import Figure
 
 from dualdepth.errors import InputError
 from dualdepth.evaluation.depth import evaluate, summary
-from dualdepth.model import DepthModel
+from dualdepth.model import DepthModel, load
 from dualdepth.run import Run
 from dualdepth.tables.scores import Scored
 from dualdepth.training.checkpoints import checkpoint_paths, load_checkpoint
 from dualdepth.training.variants import make_stage, start_weights
+from dualdepth.training.weights import load_card
 
-FINISHED = "model.safetensors"
+SEED = 0
 
 
-def score(run: Run, name: str, checkpoint: Path) -> dict[str, float]:
-    """Errors of the weights that a training would keep if it ended at this checkpoint, and the minutes that it took until then."""
-    state = load_checkpoint(checkpoint)
-    stage = make_stage(run.profile, name, start_weights(run, name, 0))
-    weights = {key.removeprefix("module."): value for key, value in state.get("average", state["model"]).items() if key != "n_averaged"}
-    stage.load_state_dict(weights)
-    card = run.profile.architecture(name).model_dump() | {"hr_size": list(run.profile.data.hr_size)}
+def score(run: Run, name: str, path: Path) -> dict[str, float]:
+    """Errors of a training's weights, or of those that it would have kept if it had ended at a checkpoint, and the minutes
+    until then, which are right unless it was resumed."""
     scored = Scored(run)
-    disparities = DepthModel(card, stage.depth_net.eval(), device="cpu", precision=state["precision"]).disparities(scored.paths)
-    errors = evaluate(disparities, scored.truth, kind="disparity", **run.profile.evaluation.model_dump())
-    log = pd.read_csv(checkpoint.with_name("log.csv"))
-    row = log[log["step"] <= state["step"]].iloc[-1]
-    minutes = state["step"] / row["steps_per_second"] / 60  # of a training that was never resumed
-    return {"variant": name, "step": state["step"], "minutes": round(float(minutes), 1)} | summary(errors)
+    if path.suffix == ".pt":
+        state = load_checkpoint(path)
+        stage = make_stage(run.profile, name, start_weights(run, name, SEED))
+        kept = state.get("average", state["model"])
+        stage.load_state_dict({key.removeprefix("module."): value for key, value in kept.items() if key != "n_averaged"})
+        card = run.profile.architecture(name).model_dump() | {"hr_size": list(run.profile.data.hr_size)}
+        model, step = DepthModel(card, stage.depth_net.eval(), device="cpu"), state["step"]
+        log = pd.read_csv(path.with_name("log.csv")).query("step <= @step")
+        minutes = step / log["steps_per_second"].iloc[-1] / 60
+    else:
+        model, card = load(path, "cpu"), load_card(path)
+        step, minutes = card["steps"], card["seconds_of_last_run"] / 60
+    errors = evaluate(model.disparities(scored.paths), scored.truth, kind="disparity", **run.profile.evaluation.model_dump())
+    return {"variant": name, "step": step, "minutes": round(float(minutes), 1)} | summary(errors)
 
 
-def drawn(table: pd.DataFrame) -> Figure:
-    """Abs Rel and δ<1.25 against minutes, a line a variant."""
+def drawn(table: pd.DataFrame, run: Run) -> Figure:
+    """Abs Rel and δ<1.25 against minutes, a line a variant; one that starts from another's weights begins where that ended."""
     figure = Figure(figsize=(9, 3.2), layout="constrained")
     for axes, metric, title in zip(figure.subplots(1, 2), ("abs_rel", "a1"), ("Abs Rel", "δ<1.25")):
         for name, part in table.groupby("variant", sort=False):
-            axes.plot(part["minutes"], part[metric], "o-", markersize=3, label=name)
+            variant = run.profile.variant(name)
+            before = table.loc[table["variant"] == variant.starts_from, "minutes"].max()
+            axes.plot(part["minutes"] + (0 if pd.isna(before) else before), part[metric], "o-", markersize=3, label=variant.label)
         axes.set(title=title, xlabel="minutes of training")
         axes.grid(alpha=0.3)
-    figure.axes[0].legend()
+    figure.axes[0].legend(fontsize=8)
     return figure
 
 
+def save(run: Run, rows: list[dict[str, float]], names: list[str]) -> None:
+    """Write the table and the figure `error_by_time`, by variant and step."""
+    table = pd.DataFrame(sorted(rows, key=lambda row: (names.index(row["variant"]), row["step"])))
+    inputs = [path for name in names if (path := run.weights(name, SEED)).exists()]
+    run.save_table(table, "error_by_time", inputs)
+    run.save_figure(drawn(table, run), "error_by_time", inputs)
+
+
 def main() -> None:
-    """Score each new checkpoint until the trainings are done; the table and the figure are written anew each time."""
+    """Score each new checkpoint, and at last the weights; the table and the figure are written anew each time."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("variants", nargs="+")
     parser.add_argument("--profile", default="sample")
     chosen = parser.parse_args()
     torch.set_num_threads(1)
     run, done, rows = Run(chosen.profile), set(), []
-    while not all((run.training(name, 0) / FINISHED).exists() for name in chosen.variants):
+    weights = {name: run.weights(name, SEED) for name in chosen.variants}
+    while not done >= {*weights.values()}:
+        for name, last in weights.items():
+            for path in [*reversed(checkpoint_paths(last.parent)), *([last] if last.exists() else [])]:
+                if path not in done:
+                    with contextlib.suppress(InputError, FileNotFoundError):  # a training that has just ended deletes it
+                        rows.append(score(run, name, path))
+                        done.add(path)
+                        save(run, rows, chosen.variants)
+                        print(
+                            "{variant}: step {step}, {minutes} min: Abs Rel {abs_rel:.3f}, δ<1.25 {a1:.3f}".format(**rows[-1]), flush=True
+                        )
         time.sleep(5)
-        for name in chosen.variants:
-            for path in sorted(set(checkpoint_paths(run.training(name, 0))) - done):
-                with contextlib.suppress(InputError, FileNotFoundError):  # it has just been deleted
-                    rows.append(score(run, name, path))
-                    print("{variant}: step {step}, {minutes} min, Abs Rel {abs_rel:.3f}, δ<1.25 {a1:.3f}".format(**rows[-1]), flush=True)
-                done.add(path)
-        if rows:
-            table = pd.DataFrame(sorted(rows, key=lambda row: (chosen.variants.index(row["variant"]), row["step"])))
-            run.save_table(table, "error_by_time", [])
-            run.save_figure(drawn(table), "error_by_time", [])
 
 
 if __name__ == "__main__":

@@ -33,10 +33,10 @@ def publish_results(profile: str) -> int:
     """
     run = Run(profile)
     run.require(run.results / "tables", "05_table_main")
+    save_by_seed(run)
     dirty = [p.name for p in sorted(run.results.glob("*/*.json")) if json.loads(p.read_text(encoding="utf-8"))["dirty"]]
     if dirty:
         raise InputError(f"{run.results}: {', '.join(dirty)} were made by code that was not committed; commit it and run again")
-    save_by_seed(run)
     target = run.root / "results" / "published" / run.profile.name
     shutil.rmtree(target, ignore_errors=True)
     for path in (path for folder in ("tables", "figures") for path in (run.results / folder).glob("*.*")):
@@ -157,10 +157,15 @@ def _store(executed: Path, target: Path, pictures: str = "as they are") -> None:
             if pictures == "small" and "image/png" in data:
                 data["image/jpeg"] = _small_jpeg(data.pop("image/png"))
         if pictures == "none":
-            cell.outputs = [output for output in cell.outputs if not {"image/png", "image/jpeg"} & {*output.get("data", {})}]
+            cell.outputs = [output for output in cell.outputs if _is_text(output.get("data", {}))]
     checkout = f"{executed.resolve().parents[3]}/"  # messages name files by their whole path
     with atomic_path(target) as partial:
         partial.write_text(nbformat.writes(notebook).replace(checkout, "") + "\n", encoding="utf-8")
+
+
+def _is_text(data: dict[str, str]) -> bool:
+    """Whether an output has no picture in it, in whatever format."""
+    return {*data} <= {"text/plain", "text/html", "text/markdown"} and not re.search(r"<(img|svg|image|iframe)|data:image", str(data))
 
 
 def _small_jpeg(png: str) -> str:
