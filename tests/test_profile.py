@@ -89,6 +89,20 @@ def test_paper_trains_every_standard_variant_and_has_nothing_beyond_the_paper():
     assert set(re.findall(r"'beyond_paper_\w+': (\w+)", str(profile.training.model_dump()))) == {"False", "0", "None"}
 
 
+@pytest.mark.parametrize("name", ["trials", "sample_trials"])
+def test_additions_are_tried_one_at_a_time_beside_a_stage_1_without_any(name):
+    profile = load_profile(name)
+
+    def beyond(variant):
+        training = profile.of_variant(variant).training
+        values = training.model_dump(exclude={"hr"}) | training.augmentation.model_dump() | training.loss.model_dump()
+        return {key: value for key, value in values.items() if key.startswith("beyond_paper") and "residual" not in key and value}
+
+    found = {variant: len(beyond(variant)) for variant in profile.train}
+    together = found.pop("lr_together")
+    assert found == {"lr": 0} | dict.fromkeys([*found][1:], 1) and together >= 5
+
+
 def test_a_variant_changes_its_own_settings_only():
     profile = load_profile("paper")
     assert profile.of_variant("lr").training == profile.training
