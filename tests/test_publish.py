@@ -93,6 +93,17 @@ def test_tables_and_figures_of_a_made_world_are_kept_with_their_stamps_and_older
     assert (row["variant"], row["seed"]) == ("lr", 0) and (row[[*METRICS]] == 1.5).all()
 
 
+def test_scores_that_publishing_itself_would_write_from_uncommitted_code_are_refused_too(project, results_of, monkeypatch):
+    run = results_of("tiny")
+    scores = run.training("lr", 0) / "per_image.csv"
+    scores.parent.mkdir(parents=True)
+    pd.DataFrame({name: [1.0] for name in METRICS}).to_csv(scores)
+    monkeypatch.setattr(Run, "_revision", {"revision": "x", "dirty": True})
+    with pytest.raises(InputError, match=r"tiny: by_seed\.json were made by code that was not committed"):
+        publish_results("tiny")
+    assert not (project / "results/published").exists()
+
+
 def test_results_of_code_that_was_not_committed_are_refused_by_name(project, results_of):
     kept = project / "results/published/tiny/tables/main.csv"
     kept.parent.mkdir(parents=True)

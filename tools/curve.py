@@ -6,7 +6,6 @@ Run it beside the chain: a finished training deletes its checkpoints. The curve 
 """
 
 import argparse
-import contextlib
 import time
 from pathlib import Path
 
@@ -14,7 +13,7 @@ import pandas as pd
 import torch
 from matplotlib.figure import Figure
 
-from dualdepth.errors import InputError
+from dualdepth.errors import InputError, exit_on_input_error
 from dualdepth.evaluation.depth import evaluate, summary
 from dualdepth.model import DepthModel, load
 from dualdepth.run import Run
@@ -36,11 +35,11 @@ def score(run: Run, name: str, path: Path) -> dict[str, float]:
         kept = state.get("average", state["model"])
         stage.load_state_dict({key.removeprefix("module."): value for key, value in kept.items() if key != "n_averaged"})
         card = run.profile.architecture(name).model_dump() | {"hr_size": list(run.profile.data.hr_size)}
-        model, step = DepthModel(card, stage.depth_net.eval(), device="cpu"), state["step"]
+        model, step = DepthModel(card, stage.depth_net.eval(), device="cpu", precision="float32"), state["step"]
         log = pd.read_csv(path.with_name("log.csv")).query("step <= @step")
         minutes = step / log["steps_per_second"].iloc[-1] / 60
     else:
-        model, card = load(path, "cpu"), load_card(path)
+        model, card = load(path, "cpu", "float32"), load_card(path)
         step, minutes = card["steps"], card["seconds_of_last_run"] / 60
     errors = evaluate(model.disparities(scored.paths), scored.truth, kind="disparity", **run.profile.evaluation.model_dump())
     return {"variant": name, "step": step, "minutes": round(float(minutes), 1)} | summary(errors)
@@ -76,20 +75,23 @@ def main() -> None:
     chosen = parser.parse_args()
     torch.set_num_threads(1)
     run, done, rows = Run(chosen.profile), set(), []
-    weights = {name: run.weights(name, SEED) for name in chosen.variants}
+    weights = {name: run.weights(name, SEED) for name in chosen.variants if run.profile.variant(name)}  # an unknown one is refused
     while not done >= {*weights.values()}:
         for name, last in weights.items():
             for path in [*reversed(checkpoint_paths(last.parent)), *([last] if last.exists() else [])]:
                 if path not in done:
-                    with contextlib.suppress(InputError, FileNotFoundError):  # a training that has just ended deletes it
+                    try:
                         rows.append(score(run, name, path))
-                        done.add(path)
-                        save(run, rows, chosen.variants)
-                        print(
-                            "{variant}: step {step}, {minutes} min: Abs Rel {abs_rel:.3f}, δ<1.25 {a1:.3f}".format(**rows[-1]), flush=True
-                        )
+                    except (InputError, FileNotFoundError):
+                        if path.exists():  # else a training that has just ended deleted it
+                            raise
+                        continue
+                    done.add(path)
+                    save(run, rows, chosen.variants)
+                    print("{variant}: step {step}, {minutes} min: Abs Rel {abs_rel:.3f}, δ<1.25 {a1:.3f}".format(**rows[-1]), flush=True)
         time.sleep(5)
 
 
 if __name__ == "__main__":
-    main()
+    with exit_on_input_error():
+        main()
