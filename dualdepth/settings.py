@@ -201,7 +201,7 @@ class Training(Settings):
     walls (`stages.corridor`), the paper's PoseNet at a rate of 1e-3. Depth then begins with motions that turn; else it
     imitates what the camera's turns should explain."""
     beyond_paper_refined_after: int | None = Field(None, ge=0)
-    """Beyond the paper: after so many steps, and where stage 2 begins with LR-Net's depth from the first, PoseNet's poses are refined by
+    """Beyond the paper: after so many steps, in a dual network's stage 2 from the first, PoseNet's poses are refined by
     direct image alignment before images are compared (`refinement.py`), and PoseNet learns from the difference; None never does. Before
     depth has a shape, alignment finds wrong poses."""
     beyond_paper_pose_encoder: PoseEncoder | None = None

@@ -8,6 +8,7 @@ from torch.nn import functional as F
 
 from dualdepth.geometry import low_resolution, resize_intrinsics, to_unit
 from dualdepth.losses import Losses, anchor, total_loss
+from dualdepth.networks.depth_nets import DualNet
 from dualdepth.networks.pose_net import EncoderPoseNet, PoseNet
 from dualdepth.refinement import refined
 from dualdepth.settings import Training
@@ -57,6 +58,7 @@ class Stage(nn.Module):
         self.loss, self.channels_last, self.low = training.loss, training.channels_last, low
         self.anchor, self.corridor_steps = training.beyond_paper_residual_anchor, training.beyond_paper_corridor_steps
         self.colour = training.augmentation.beyond_paper_colour
+        self.from_nothing = isinstance(depth_net, DualNet) and not depth_net.residual
         self.hr_batch = training.augmentation.augment_first or not low
         """Whether batches have the HR size; frames that are shrunk before they are augmented have the LR size."""
 
@@ -70,7 +72,8 @@ class Stage(nn.Module):
         """Losses of a batch with `images` (B, 3, 3, H, W) uint8, target first, and `intrinsics` (B, 3, 3).
 
         In a corridor the depth network is left out: a road between walls stands for what it would say, so that PoseNet learns alone.
-        Where poses are to be refined, losses take the refined ones, and PoseNet learns from their difference to its own.
+        Where poses are to be refined, losses take the refined ones, and PoseNet learns from their difference to its own. They are refined
+        with the depth that learns; of a dual network whose HR-Net begins from nothing with LR-Net's, which has a shape from the first step.
         """
         images, matrix = to_unit(batch["images"]), batch["intrinsics"]
         seen = recoloured(images, self.colour) if self.colour and self.training else images  # by the networks; losses compare `images`
@@ -80,7 +83,7 @@ class Stage(nn.Module):
             seen, matrix = small, resize_intrinsics(matrix, 1 / 3, 1 / 3)
         # the sources' depth features are needed for the feature loss alone
         with_features = self.low and self.loss.feature > 0 and not in_a_corridor
-        poses, added = self.pose_net(small), None
+        poses, added, known = self.pose_net(small), None, None
         if in_a_corridor:
             disparities = corridor(matrix, images.shape[-2:], self.loss.scales)
             features = torch.zeros_like(disparities[0])[:, None]
@@ -89,7 +92,11 @@ class Stage(nn.Module):
             network_input = views.flatten(0, 1)
             if self.channels_last:
                 network_input = network_input.contiguous(memory_format=torch.channels_last)
-            output = self.depth_net(network_input, self.loss.scales)
+            if refine and self.from_nothing:
+                output, low_output = self.depth_net(network_input, self.loss.scales, with_lr_depth=True)
+                known = low_output.disparities[0]
+            else:
+                output = self.depth_net(network_input, self.loss.scales)
             added = output.added
             disparities = [d.unflatten(0, views.shape[:2])[:, 0] for d in output.disparities]
             features = output.features.unflatten(0, views.shape[:2])
@@ -99,7 +106,8 @@ class Stage(nn.Module):
             if refine:
                 share = small.shape[-1] / images.shape[-1]
                 small_matrix = resize_intrinsics(matrix, share, share)
-                poses = refined(small, disparities[0], predicted, small_matrix, self.loss.mean_disparity)
+                depth = disparities[0] if known is None else known
+                poses = refined(small, depth, predicted, small_matrix, self.loss.mean_disparity)
             losses = total_loss(images, matrix, disparities, poses, self.loss, pair)
             if self.anchor and added:
                 losses = losses._replace(total=losses.total + self.anchor * anchor(added, images[:, 0]))
