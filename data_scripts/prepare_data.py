@@ -24,10 +24,17 @@ from dualdepth.data.depth_maps import save_ground_truth
 from dualdepth.data.kitti import Frame, image_path, read_frame_list, read_image, read_static_frames, read_test_scenes, velodyne_path
 from dualdepth.data.label_maps import label_path
 from dualdepth.data.lidar import ground_truth
-from dualdepth.data.odometry import check_odometry_root, frame_files, odometry_triplets, poses_path, sequence_of
+from dualdepth.data.odometry import (
+    check_odometry_root,
+    frame_files,
+    odometry_triplets,
+    poses_path,
+    sequence_of,
+    true_trajectory,
+)
 from dualdepth.data.triplets import drive_triplets, missing_files_error, missing_neighbours, raw_triplets, write_triplets
 from dualdepth.errors import InputError, exit_on_input_error
-from dualdepth.files import file_digest, write_json
+from dualdepth.files import file_digest, short_digest, write_json
 from dualdepth.run import RECORD, ROOTS, Run, Sources, add_roots
 
 
@@ -54,18 +61,21 @@ def prepare(run: Run) -> Prepared:
     sources, data, out = Sources.load(run), run.profile.data, run.prepared
     root, targets = sources.kitti_root, training_targets(run, sources)
     scored, listed = test_frames(run, sources)
+    if sources.labels_root and len({label_path(sources.labels_root, frame) for frame in scored}) < len({*scored}):
+        raise InputError(f"{sources.test_list}: lists both cameras of a frame, but there is one label map a frame; score one camera")
     unlabelled = [path for frame in scored if sources.labels_root and not (path := label_path(sources.labels_root, frame)).is_file()]
     if unlabelled:
         others = f"nor have {len(unlabelled) - 1} other scored frames; make them with data_scripts/export_labels.py"
         raise InputError(f"{unlabelled[0]}: no label map, {others}")
     check_separate([f.drive for f in targets], [f.drive for f in scored], "drives", sources.allow_leak)
-    sequences, ridden = odometry_sequences(run, sources)
+    sequences, scored_sequences = odometry_sequences(run, sources)
     triplets = raw_triplets(root, targets)
     shown = [path for frame in scored if (path := image_path(root, frame))]
-    films, judged = ([f for e in entries for f in frame_files(sources.odometry_root, e).values()] for entries in (sequences, ridden))
-    broken = broken_frames([*(path for triplet in triplets for path in triplet.paths), *films], [*shown, *judged])
+    along, followed = ([f for e in some for f in frame_files(sources.odometry_root, e).values()] for some in (sequences, scored_sequences))
+    trained = [*(path for triplet in triplets for path in triplet.paths), *along]
+    broken = broken_frames(trained, [*shown, *followed])
     named = "; ".join(broken.values())
-    if to_score := len(broken.keys() & {*shown, *judged}):
+    if to_score := len(broken.keys() & {*shown, *followed}):
         raise InputError(f"{to_score} frames to score are broken, and {len(broken) - to_score} others: {named}")
     if broken:
         print(f"{len(broken)} frames are broken and left out with their triplets: {named}")
@@ -75,7 +85,7 @@ def prepare(run: Run) -> Prepared:
     kept = [target for target, _ in whole]
     fitted = laser_frames(sources, kept, data.baseline_frames)
     write_triplets(out / "triplets.csv", root, [triplet for _, triplet in whole])
-    write_identity(run, sources, kept)
+    write_identity(run, sources, kept, [path for path in trained if path not in broken])
     measured = partial(ground_truth, root)
     unmeasured = (np.zeros(read_image(path).shape[:2], np.float32) for path in shown)  # of an own camera
     save_ground_truth(out / "ground_truth.npz", depth_maps(scored, measured) if data.has_truth else unmeasured)
@@ -83,7 +93,7 @@ def prepare(run: Run) -> Prepared:
         (out / name).unlink(missing_ok=True)
     if fitted:
         save_ground_truth(out / "baseline_truth.npz", depth_maps(fitted, measured))
-    write_json(out / "test_frames.json", {"listed": listed, "frames": scored})
+    write_json(out / "test_frames.json", {"listed": listed, "frames": scored, "files": files_digest(shown)})
     odometry = odometry_triplets(sources.odometry_root, sequences, broken)
     if odometry:
         write_triplets(out / "odometry.csv", sources.odometry_root, odometry)
@@ -157,29 +167,36 @@ def laser_frames(sources: Sources, targets: Sequence[Frame], most: int) -> list[
     return [scanned[i] for i in chosen]
 
 
-def write_identity(run: Run, sources: Sources, targets: Sequence[Frame]) -> None:
-    """Write `prepared/identity.json`: which world or which calibrations the triplets are of, since their names alone do not tell."""
+def files_digest(paths: Sequence[Path]) -> str:
+    """Of image files' names and sizes, which tell another folder's images or another compression."""
+    return short_digest(*(f"{path.name} {path.stat().st_size}" for path in paths))
+
+
+def write_identity(run: Run, sources: Sources, targets: Sequence[Frame], images: Sequence[Path]) -> None:
+    """Write `prepared/identity.json`: which world or calibrations, and which images, the triplets are of; their names alone do not tell."""
     root = sources.kitti_root
     days = [root / date / "calib_cam_to_cam.txt" for date in sorted({f.date for f in targets})]
     files = [root.parent / "world.json"] if run.profile.world else days
-    own = {} if run.profile.data.has_truth else {RECORD: file_digest(root / RECORD)}
-    write_json(run.prepared / "identity.json", {file.parent.name: file_digest(file) for file in files} | own)
+    facts = {file.parent.name: file_digest(file) for file in files} | {"images": files_digest(images)}
+    facts |= {} if run.profile.data.has_truth else {RECORD: file_digest(root / RECORD)}
+    write_json(run.prepared / "identity.json", facts)
 
 
 def odometry_sequences(run: Run, sources: Sources) -> tuple[list[str], list[str]]:
     """Odometry sequences to train on and to score; none where there are no such variants or frames.
 
     Raises:
-        InputError: a sequence to train on or to score is not there, or is both.
+        InputError: a sequence to train on or to score is not there, or is both, or one to score has a gap or too few true poses.
     """
     used = run.profile.trained_on("odometry") or (not run.profile.world and set(run.profile.pose_variants) & set(run.profile.train))
     if sources.odometry_root is None or not used:
         return [], []
     root, (train, test) = check_odometry_root(sources.odometry_root), run.profile.odometry_sequences()
     for entry in test:
-        frame_files(root, entry)
+        frame_files(root, entry, whole=True)
         if not (path := poses_path(root, entry)).is_file():
             raise InputError(f"{path}: the true poses of sequence {entry}, which is to be scored, are missing; download them first")
+        true_trajectory(root, entry)
     check_separate([sequence_of(e)[0] for e in train], [sequence_of(e)[0] for e in test], "sequences", sources.allow_leak)
     return train, test
 

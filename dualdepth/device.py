@@ -29,9 +29,9 @@ def is_main_process() -> bool:
     return int(os.environ.get("RANK", 0)) == 0
 
 
-def several_on_cpu() -> bool:
-    """Whether several processes work on a CPU: accelerate must be told, else each would work by itself."""
-    return process_count() > 1 and default_device().type == "cpu"
+def on_cpu() -> bool:
+    """Whether trainings compute on the CPU: accelerate must be told, else several processes would each work by itself."""
+    return default_device().type == "cpu"
 
 
 def wait_for_everyone() -> None:
@@ -39,7 +39,7 @@ def wait_for_everyone() -> None:
     if process_count() > 1:
         from accelerate import PartialState
 
-        PartialState(cpu=several_on_cpu()).wait_for_everyone()
+        PartialState(cpu=on_cpu()).wait_for_everyone()
 
 
 def default_device() -> "torch.device":

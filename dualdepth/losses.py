@@ -109,7 +109,7 @@ def anchor(added: list[Tensor], image: Tensor) -> Tensor:
 
 
 class Losses(NamedTuple):
-    """Total (scalar with gradient), its weighted-out components, and the finest scale's pictures for the log."""
+    """Total (scalar with gradient), its components before they are weighted, and the finest scale's pictures for the log."""
 
     total: Tensor
     photometric: Tensor

@@ -166,8 +166,9 @@ def _read(name: str) -> tuple[Path, dict[str, Any]]:
     known = sorted(shipped.stem for shipped in PROFILES.glob("*.yaml") if shipped != path)
     if not path.is_file():
         raise InputError(f"profile {name!r} not found: choose one of {', '.join(known)} or give the path of a .yaml file that is there")
-    if not re.fullmatch(r"[\w.-]+", path.stem):
-        raise InputError(f"profile {name}: folders and commands are named by it; give the file a name of letters, digits, . _ and -")
+    if not re.fullmatch(r"(?!(kitti|published|lock|home)$)\w[\w.-]*", path.stem):  # which are folders of the project's own
+        named = "folders and commands are named by it; give the file another name, of letters, digits, . _ and -"
+        raise InputError(f"profile {name}: {named}")
     with reading(path, "give settings in YAML"):
         values = yaml.load(path.read_text(encoding="utf-8-sig"), Once)
     if not isinstance(values, dict):

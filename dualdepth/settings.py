@@ -13,7 +13,7 @@ Size = Annotated[tuple[int, int], Field(description="(height, width) in pixels")
 class Settings(BaseModel):
     """Base of all sections: unknown keys are refused, values are fixed once read."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class World(Settings):
@@ -98,6 +98,8 @@ class Data(Settings):
     def _lists(self) -> "Data":
         if self.source == "kitti" and bool(self.train_list) == bool(self.train_drives):
             raise ValueError("give either train_list or train_drives")
+        if self.train_list and (self.static_frames or self.test_scenes):
+            raise ValueError("static_frames and test_scenes choose from train_drives; a train_list is used unchanged")
         if self.source == "own" and (self.train_list or self.train_drives or self.test_list):
             raise ValueError("train_list, train_drives and test_list are not for source: own, whose data set names its frames itself")
         return self
@@ -134,15 +136,15 @@ class Loss(Settings):
     on synthetic streets that are scored nowhere; the others are the first that learned in a short trial on KITTI's drive 0095.
     """
 
-    photometric: float = 1.0
+    photometric: float = Field(1.0, ge=0.0)
     """λ1."""
-    smoothness: float = 0.03
+    smoothness: float = Field(0.03, ge=0.0)
     """λ2, halved at each coarser scale; acts on mean-normalised inverse depth. GeoNet has 0.5, monodepth2 0.001."""
-    feature: float = 0.01
+    feature: float = Field(0.01, ge=0.0)
     """λ3; small, since learned features can shrink to please it; 0 switches the loss off (the paper argues for it)."""
-    alpha: float = 0.85
+    alpha: float = Field(0.85, ge=0.0, le=1.0)
     """Share of SSIM in the photometric loss (paper)."""
-    mean_disparity: float = 1.0
+    mean_disparity: float = Field(1.0, gt=0.0)
     """Spatial mean to which each image's disparity is scaled, as DDVO writes it; its code has 10, where a unit of translation moves pixels
     ten times as far as a unit of rotation, and rotation is learned last."""
     scales: int = Field(4, ge=1, le=4)
@@ -162,10 +164,17 @@ class StageSettings(Settings):
     """4 in the paper, both stages."""
     learning_rates: list[tuple[int, float]] = Field([(10, 2e-4), (20, 1e-4), (40, 5e-5)], min_length=1)
     """(last epoch, rate): the paper's steps. In shorter runs the epochs are stretched in proportion."""
-    beta1: float = 0.9
-    beta2: float = 0.999
+    beta1: float = Field(0.9, ge=0.0, lt=1.0)
+    beta2: float = Field(0.999, ge=0.0, lt=1.0)
     max_steps: int | None = Field(None, ge=1)
     """Ends the stage early; None trains all epochs."""
+
+    @model_validator(mode="after")
+    def _rates(self) -> "StageSettings":
+        epochs, rates = zip(*self.learning_rates)
+        if list(epochs) != sorted({*epochs}) or epochs[0] < 1 or min(rates) <= 0:
+            raise ValueError(f"learning_rates {self.learning_rates}: give (last epoch, rate) in the order of epochs, rates above 0")
+        return self
 
 
 class SecondStage(StageSettings):
@@ -190,7 +199,7 @@ class Training(Settings):
     loss: Loss = Loss()
     beyond_paper_residual: bool = False
     """Beyond the paper: in stage 2 HR-Net adds to LR-Net's logits and so begins with its depth; in the paper it begins from nothing."""
-    beyond_paper_residual_floor: float = Field(-7.0, lt=0, allow_inf_nan=False)
+    beyond_paper_residual_floor: float = Field(-7.0, lt=0)
     """Lowest logit of LR-Net that is added to, four times as far as the mean; at −8, six times. Far below, the sigmoid gives no gradient
     to bring nearer what LR-Net took for infinitely far (docs/learning.md, "Stage 2")."""
     beyond_paper_residual_anchor: float = Field(0.0, ge=0.0, allow_inf_nan=False)

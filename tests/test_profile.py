@@ -146,6 +146,12 @@ BAD_SETTINGS = [
     ("1: 2\n", "1"),
     ("training: {precision: float16}\n", "training.precision"),
     ("training: {lr: {learning_rates: []}}\n", "training.lr.learning_rates"),
+    ("training: {lr: {learning_rates: [[40, 1.0e-5], [10, 2.0e-4]]}}\n", "in the order of epochs"),
+    ("training: {hr: {learning_rates: [[10, -1.0e-5]]}}\n", "rates above 0"),
+    ("training: {hr: {beta1: 2}}\n", "training.hr.beta1"),
+    ("training: {loss: {mean_disparity: 0}}\n", "training.loss.mean_disparity"),
+    ("training: {loss: {smoothness: -1}}\n", "training.loss.smoothness"),
+    ("training: {loss: {photometric: .nan}}\n", "training.loss.photometric"),
     ("  hr_size: [380, 1248]\n", "hr_size"),
     ("  hr_size: [96, 288]\n", "hr_size"),
     ("  train_list: eigen_zhou\n", "train_list or train_drives"),
@@ -175,6 +181,7 @@ BAD_VARIANTS = [
 ]
 BAD_FILES = [
     (GOOD.replace("  train_drives: [2011_09_26/2011_09_26_drive_0001_sync]\n", ""), "train_list or train_drives"),
+    (GOOD.replace("train_drives: [2011_09_26/2011_09_26_drive_0001_sync]", "train_list: a\n  test_scenes: b"), "test_scenes choose from"),
     (GOOD.replace("kitti", "cityscapes"), "data.source"),
     (GOOD.replace("kitti", "miniature"), "world"),
     (GOOD.replace("about: a test\n", ""), "about"),
@@ -182,6 +189,12 @@ BAD_FILES = [
     ("", "expected a mapping of settings, found NoneType"),
     ("a: [1,\n", "give settings in YAML"),
 ]
+
+
+@pytest.mark.parametrize("name", ["kitti", "published", "lock", "home", "..", "-x", "a b"])
+def test_a_profile_cannot_have_the_name_of_a_folder_in_use(written, name):
+    with pytest.raises(InputError, match="folders and commands are named by it; give the file another name"):
+        load_profile(written(GOOD, name))
 
 
 @pytest.mark.parametrize(("text", "said"), [*((GOOD + text, said) for text, said in BAD_SETTINGS + BAD_VARIANTS), *BAD_FILES])

@@ -104,6 +104,13 @@ def test_scores_that_publishing_itself_would_write_from_uncommitted_code_are_ref
     assert not (project / "results/published").exists()
 
 
+def test_results_beside_a_notebook_that_failed_are_refused(project, results_of):
+    run = results_of("tiny")
+    (run.results / "notebooks/09_x.failed.ipynb").touch()
+    with pytest.raises(InputError, match=r"09_x\.failed\.ipynb: this notebook failed; run the chain to its end first"):
+        publish_results("tiny")
+
+
 def test_results_of_code_that_was_not_committed_are_refused_by_name(project, results_of):
     kept = project / "results/published/tiny/tables/main.csv"
     kept.parent.mkdir(parents=True)

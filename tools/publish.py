@@ -8,12 +8,17 @@ import re
 import shutil
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from dualdepth.errors import InputError, exit_on_input_error
 from dualdepth.files import atomic_path
 from dualdepth.run import Run
 from dualdepth.training.weights import HUB_CARD, save_weights
 
+if TYPE_CHECKING:
+    from torch import Tensor
+
+LARGE = 10_000  # Numbers from which on a tensor is kept in 8 bits.
 PICTURE_WIDTH = 900
 """Pixels that a picture in a published notebook has at most."""
 LIMITS = (
@@ -33,6 +38,8 @@ def publish_results(profile: str) -> int:
     """
     run = Run(profile)
     run.require(run.results / "tables", "05_table_main")
+    if failed := sorted((run.results / "notebooks").glob("*.failed.ipynb")):
+        raise InputError(f"{failed[0]}: this notebook failed; run the chain to its end first")
     save_by_seed(run)
     dirty = [p.name for p in sorted(run.results.glob("*/*.json")) if json.loads(p.read_text(encoding="utf-8"))["dirty"]]
     if dirty:
@@ -58,7 +65,8 @@ def save_by_seed(run: Run) -> None:
 
     from dualdepth.evaluation.depth import METRICS
 
-    trainings = [(variant, seed) for variant in run.profile.train for seed in run.profile.seeds]
+    seeds = json.loads((run.results / "tables" / "main.json").read_text(encoding="utf-8")).get("seeds", run.profile.seeds)
+    trainings = [(variant, seed) for variant in run.profile.train for seed in seeds]
     scores = {name: path for name in trainings if (path := run.training(*name) / "per_image.csv").exists()}
     if scores:
         means = pd.DataFrame({name: pd.read_csv(path)[[*METRICS]].mean() for name, path in scores.items()}).T
@@ -92,7 +100,7 @@ def publish_weights(profile: str) -> None:
     shutil.rmtree(RELEASED, ignore_errors=True)  # a page that is there would be kept
     model.save_pretrained(RELEASED)
     card = {key: value for key, value in model.card.items() if key != "sha256"}
-    save_weights(RELEASED / WEIGHTS, model, card, HUB_CARD, small=True)
+    save_weights(RELEASED / WEIGHTS, in_8_bits(model.state_dict()), card, HUB_CARD)
     page = RELEASED / "README.md"
     text = page.read_text(encoding="utf-8").replace("pipeline_tag", "license: cc-by-nc-sa-3.0\npipeline_tag", 1)
     names = {"abs_rel": "Abs Rel", "rmse": "RMSE (m)", "a1": "δ<1.25"}
@@ -102,6 +110,17 @@ def publish_weights(profile: str) -> None:
     text += f"\nLearned from these drives of KITTI:\n\n{drives}\n"
     page.write_text(text, encoding="utf-8")
     print(f"{RELEASED}: {sum(path.stat().st_size for path in RELEASED.iterdir()) / 1e6:.1f} MB")
+
+
+def in_8_bits(tensors: dict[str, "Tensor"]) -> dict[str, "Tensor"]:
+    """Tensors for a file of a quarter of the size: large ones as whole numbers of steps, from −127 to 127, where each output channel has a
+    step size of its own, `<name>.step`. A weight moves by at most half a step, a 254th of its channel's largest."""
+    import torch
+
+    large = {name: tensor for name, tensor in tensors.items() if tensor.numel() >= LARGE}
+    steps = {n: t.abs().amax(dim=tuple(range(1, t.ndim)), keepdim=True).clamp(min=1e-12) / 127 for n, t in large.items()}
+    rounded = {name: (tensor / steps[name]).round().to(torch.int8) for name, tensor in large.items()}
+    return tensors | rounded | {f"{name}.step": step for name, step in steps.items()}
 
 
 def publish_notebooks() -> int:
@@ -123,7 +142,7 @@ def _default_copy(source: Path, folder: Path) -> Path:
     import papermill
 
     defaults = {k: str(ast.literal_eval(v["default"])) for k, v in papermill.inspect_notebook(str(source)).items()}
-    for copy in sorted(folder.glob(f"{source.stem}*.ipynb")):
+    for copy in sorted(set(folder.glob(f"{source.stem}*.ipynb")) - set(folder.glob("*.failed.ipynb"))):
         given = json.loads(copy.read_text(encoding="utf-8"))["metadata"]["papermill"]["parameters"]
         if all(str(given[k]) == v for k, v in defaults.items() if k in given):
             return copy

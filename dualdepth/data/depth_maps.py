@@ -14,7 +14,7 @@ import numpy as np
 from dualdepth.errors import InputError, reading
 from dualdepth.files import atomic_path
 
-FIELD_KEY, MEND = "data", "write it with data_scripts/export_depth.py"
+MEND = "write it with data_scripts/export_depth.py"
 LARGEST = 4 * 10**9
 """Bytes that an array may unpack to: a map of the Eigen split takes 1.9 million, all 697 in one array 1.3 thousand million."""
 

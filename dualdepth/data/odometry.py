@@ -41,8 +41,9 @@ def sequence_of(entry: str) -> tuple[str, str]:
     return name, camera or CAMERA
 
 
-def frame_files(root: str | Path, entry: str) -> dict[int, Path]:
-    """Image files of a sequence by frame number, in order; where there are none, an `InputError` names the cameras that are there."""
+def frame_files(root: str | Path, entry: str, whole: bool = False) -> dict[int, Path]:
+    """Image files of a sequence by frame number, in order; where there are none, an `InputError` names the cameras that are there.
+    Those that are to be `whole`, to be scored, may have no gap."""
     name, camera = sequence_of(entry)
     folder = Path(root) / "sequences" / name / camera
     files = sorted(folder.iterdir() if folder.is_dir() else [], key=lambda file: (file.suffix.lower() == ".png", file))  # so PNG wins
@@ -51,7 +52,18 @@ def frame_files(root: str | Path, entry: str) -> dict[int, Path]:
         there = sorted(p.name for p in folder.parent.glob("image_*") if p.is_dir())
         hint = f"; there is {' and '.join(there)}, say `{name}:{there[0]}`" if there else "; download the sequence first"
         raise InputError(f"{folder}: no images{hint}")
+    if whole and (gaps := set(range(min(numbered), max(numbered))) - set(numbered)):
+        raise InputError(f"{folder}: frame {min(gaps)} is missing; a trajectory needs all frames")
     return dict(sorted(numbered.items()))
+
+
+def true_trajectory(root: str | Path, entry: str) -> "Trajectory":
+    """True poses of a scored sequence's frames; an `InputError` if the file is missing, bad, or shorter than the sequence."""
+    path, numbers = poses_path(root, entry), list(frame_files(root, entry, whole=True))
+    poses = read_trajectory(path).poses
+    if numbers[-1] >= len(poses):
+        raise InputError(f"{path}: has {len(poses)} poses, but the sequence has a frame {numbers[-1]}")
+    return Trajectory(np.array(numbers), poses[numbers], False)
 
 
 def sequence_intrinsics(root: str | Path, entry: str) -> np.ndarray:

@@ -143,7 +143,7 @@ def write_video(path: Path, rate: float, frames: Iterable[np.ndarray]) -> None:
     """Write frames (H, W, 3) uint8 RGB of one size, `rate` a second; the file is whole or absent. A `NotImplementedError` says that the
     codec takes no such video, an `OSError` that not all frames were written; the codec tells of no full disk, so they are counted.
 
-    Odd sizes, which the codec has not, get their last row or column twice; the rate is rounded to as many decimals as the codec takes, and
+    The codec needs even sides; an odd one gets its last row or column twice. The rate is rounded to as many decimals as the codec takes;
     frames are written several times where that is below 0.1, of which OpenCV takes three decimals."""
     times = math.ceil(0.1 / rate)
     rate = round(times * rate, max(0, int(math.log10(65535 / (times * rate)))))  # a fraction of whole numbers of 16 bits

@@ -23,16 +23,15 @@ class PoseNet(nn.Module):
     last layer at zero, so that the first poses are the identity.
     """
 
-    def __init__(self, sources: int = 2) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.sources = sources
         widths, kernels = (16, 32, 64, 128, 256, 256, 256), (7, 5, 3, 3, 3, 3, 3)
         layers: list[nn.Module] = []
-        inputs = 3 * (1 + sources)
+        inputs = 3 * 3  # target and two sources
         for width, kernel in zip(widths, kernels):
             layers += [nn.Conv2d(inputs, width, kernel, stride=2, padding=kernel // 2), nn.ReLU()]
             inputs = width
-        self.layers = nn.Sequential(*layers, nn.Conv2d(inputs, 6 * sources, 1))
+        self.layers = nn.Sequential(*layers, nn.Conv2d(inputs, 6 * 2, 1))
         for layer in self.layers:
             if isinstance(layer, nn.Conv2d):
                 nn.init.kaiming_uniform_(layer.weight, nonlinearity="relu")
@@ -45,13 +44,13 @@ class PoseNet(nn.Module):
                 target -= source
 
     def forward(self, images: Tensor) -> Tensor:
-        """Poses (B, sources, 6) of images (B, 1 + sources, 3, H, W) in [0, 1], target first.
+        """Poses (B, 2, 6) of images (B, 3, 3, H, W) in [0, 1], target first.
 
         Order tx, ty, tz, rx, ry, rz; translations in units of the predicted depth, angles in radians.
         """
         x = 2.0 * images.flatten(1, 2) - 1.0
         poses = self.layers(x).float().mean(dim=(2, 3))
-        return POSE_SCALE * torch.unflatten(poses, 1, (self.sources, 6))
+        return POSE_SCALE * torch.unflatten(poses, 1, (2, 6))
 
 
 class EncoderPoseNet(nn.Module):

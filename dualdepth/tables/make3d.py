@@ -60,7 +60,7 @@ def predict_photos(model: DepthModel, pairs: Sequence[PhotoGrid], convention: st
 
 
 def score_photos(training: Trained, photos: Photos, convention: str) -> pd.DataFrame:
-    """Metrics of each photo by a training's last weights, kept beside them as `make3d_<convention>.csv` and reused while they fit."""
+    """Metrics of each photo by a training's weights, kept beside them as `make3d_<convention>.csv` and reused while they fit."""
     return training.kept(f"make3d_{convention}.csv", {"photos": photos.digest}, lambda: _scores(training.model, photos, convention))
 
 

@@ -36,7 +36,9 @@ def odometry_scores(run: Run, seeds: Sequence[int]) -> Scores:
         scores = scores.plus(variant + REFINED, frames, "")
         scores.trainings[variant + REFINED] = of_seeds
     unknown = reason or ("" if run.profile.odometry_sequences()[0] else "no sequence is trained on, whose mean step this would be")
-    known = "" if unknown else f"the mean step of sequences {' '.join(trajectories.known_sequences(run))}, never turning"
+    given = [] if unknown else trajectories.known_sequences(run)
+    unknown = unknown or ("" if given else "there are no true poses of training sequences, whose mean step this would be")
+    known = f"the mean step of sequences {' '.join(given)}, never turning"
     notes = {"constant": known, "straight": "a metre a frame along the optical axis", "inverted": "a mistake that snippets hardly see"}
     for name in trajectories.CONTROLS:
         missing = unknown if name == "constant" else reason

@@ -93,7 +93,7 @@ class Trained:
 
     @functools.cached_property
     def weights(self) -> Path:
-        """The weights of the last epoch; where they are missing, an `InputError` names the notebook that makes them."""
+        """The weights that the training kept; where they are missing, an `InputError` names the notebook that makes them."""
         notebook = "03_train_lr" if self.stage == "lr" else "04_train_hr"
         return self.run.require(self.run.weights(self.variant, self.seed), f"{notebook}, variant {self.variant}, seed {self.seed},")
 

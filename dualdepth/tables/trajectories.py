@@ -1,15 +1,11 @@
 """Trajectories of the odometry table: PoseNet's motions along the test sequences, chained, and the controls that they must beat."""
 
-from itertools import pairwise
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 
 from dualdepth.data import odometry
-from dualdepth.data.odometry import Trajectory, drives_of, frame_files, poses_path, read_trajectory, sequence_of, write_trajectory
+from dualdepth.data.odometry import Trajectory, drives_of, poses_path, read_trajectory, sequence_of, write_trajectory
 from dualdepth.device import default_device
-from dualdepth.errors import InputError
 from dualdepth.evaluation.odometry import ALIGNMENTS, constant_velocity, inverted, mean_step, snippet_errors, snippets, trajectory_errors
 from dualdepth.model import load_pose_net, predict_poses
 from dualdepth.run import Run, Sources
@@ -39,29 +35,16 @@ def triplet_snippets(motions: np.ndarray) -> np.ndarray:
     return np.stack([np.linalg.inv(motions[:, 0]), middle, np.linalg.inv(motions[:, 1])], axis=1)
 
 
-def sequence_frames(run: Run, entry: str) -> dict[int, Path]:
-    """Image files of a test sequence by frame number; an `InputError` if there are none, or a gap between them."""
-    files = frame_files(Sources.load(run).odometry_root, entry)
-    for before, number in pairwise(files):
-        if number != before + 1:
-            raise InputError(f"{files[number].parent}: frame {before + 1} is missing; a trajectory needs all frames")
-    return files
-
-
 def true_trajectory(run: Run, entry: str) -> Trajectory:
-    """True poses of a test sequence's frames that are there; an `InputError` if the file is missing, bad, or shorter than the sequence."""
-    path, numbers = poses_path(Sources.load(run).odometry_root, entry), list(sequence_frames(run, entry))
-    poses = read_trajectory(path).poses
-    if numbers[-1] >= len(poses):
-        raise InputError(f"{path}: has {len(poses)} poses, but the sequence has a frame {numbers[-1]}")
-    return Trajectory(np.array(numbers), poses[numbers], False)
+    """`odometry.true_trajectory` of a run's test sequence."""
+    return odometry.true_trajectory(Sources.load(run).odometry_root, entry)
 
 
 def predicted_motions(training: Trained, entry: str, refine: bool = False) -> np.ndarray:
     """PoseNet's motions (N − 2, 2, 4, 4) along a test sequence, or refined ones (`refinement`); kept beside the weights and reused while
     they fit. An `InputError` says that the weights are missing, or were trained on the sequence."""
     training.check(drives_of([entry], world=training.run.profile.world is not None))
-    files = list(sequence_frames(training.run, entry).values())
+    files = list(odometry.frame_files(Sources.load(training.run).odometry_root, entry, whole=True).values())
     frames = [[str(f.resolve()), f.stat().st_size, f.stat().st_mtime_ns] for f in files]
     name = f"motions_{'_'.join(sequence_of(entry))}{'_refined' * refine}.npy"
     matrix = odometry.sequence_intrinsics(Sources.load(training.run).odometry_root, entry) if refine else None
@@ -94,8 +77,7 @@ def follow_control(run: Run, name: str, entry: str) -> pd.DataFrame:
 
 
 def control_poses(run: Run, name: str, truth: Trajectory) -> np.ndarray:
-    """Trajectory (N, 4, 4) of one of `CONTROLS` along a test sequence. An `InputError` says that no training sequence has true
-    poses, from which the constant velocity is taken."""
+    """Trajectory (N, 4, 4) of one of `CONTROLS` along a test sequence; the constant velocity is the mean of `known_sequences`."""
     if name == "straight":
         return constant_velocity(len(truth.frames), np.array([0.0, 0.0, 1.0]))
     if name == "inverted":
@@ -105,12 +87,9 @@ def control_poses(run: Run, name: str, truth: Trajectory) -> np.ndarray:
 
 
 def known_sequences(run: Run) -> list[str]:
-    """Training sequences whose true poses are there; an `InputError` if none has them."""
+    """Training sequences whose true poses are there."""
     root, (train, _) = Sources.load(run).odometry_root, run.profile.odometry_sequences()
-    known = [sequence_of(entry)[0] for entry in train if poses_path(root, entry).is_file()]
-    if not known:
-        raise InputError(f"{root}: no true poses of training sequences {', '.join(train)}, from which the constant velocity is taken")
-    return known
+    return [sequence_of(entry)[0] for entry in train if poses_path(root, entry).is_file()]
 
 
 def _score(entry: str, truth: Trajectory, poses: np.ndarray, given: dict[int, np.ndarray]) -> pd.DataFrame:

@@ -50,7 +50,7 @@ def load_checkpoint(path: str | Path) -> dict[str, Any]:
     anything but tensors and plain values (its code is not run)."""
     with reading(path, "not a checkpoint of this project; delete it to train from the start"):
         state = _read(Path(path))
-        if not set(state) >= KEYS - {"precision"}:  # one without is of before it was kept, and so of another recipe
+        if not set(state) >= KEYS:
             raise ValueError("keys are missing")
     return state
 

@@ -23,8 +23,8 @@ from dualdepth.device import (
     default_device,
     device_name,
     is_main_process,
+    on_cpu,
     process_count,
-    several_on_cpu,
 )
 from dualdepth.errors import InputError, note
 from dualdepth.files import check_writable, remove_leftovers
@@ -38,7 +38,7 @@ from dualdepth.training.stages import Stage, StageOutput
 from dualdepth.training.weights import save_weights
 
 CORRIDOR_RATE = 1e-3  # Learning rate while the paper's PoseNet learns alone.
-WATCHED = 100  # Steps after which it is said that they wait for frames, if they do.
+WATCHED = 100  # Step after which slow loading is reported.
 
 
 def learning_rate(stage: StageSettings, step: int, total: int) -> float:
@@ -90,14 +90,14 @@ class Trainer:
         resumed = bool(checkpoint) and checkpoint["recipe"] == recipe
         chosen = [choose_precision(self.settings.precision, default_device(), profile.data.lr_size)]
         if process_count() > 1:  # machines may differ; the main process chooses for all
-            PartialState(cpu=several_on_cpu())
+            PartialState(cpu=on_cpu())
             broadcast_object_list(chosen)
         self.precision = checkpoint["precision"] if resumed else chosen[0]
         # heads of scales that the loss does not look at get no gradient, nor does a depth network while PoseNet learns alone
         unused = self.settings.loss.scales < 4 or self.settings.beyond_paper_corridor_steps > 0
         ddp = DistributedDataParallelKwargs(find_unused_parameters=unused)
         bf16 = "bf16" if self.precision == "bf16" else "no"
-        self.accelerator = Accelerator(cpu=several_on_cpu(), mixed_precision=bf16, kwargs_handlers=[ddp])
+        self.accelerator = Accelerator(cpu=on_cpu(), mixed_precision=bf16, kwargs_handlers=[ddp])
         self.main = self.accelerator.is_main_process
         self.parts = self.settings.accumulate * self.accelerator.num_processes
         """Parts that a batch is cut into; batch norm sees each by itself."""

@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 from typing import Any
 
-import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
@@ -13,17 +12,15 @@ from dualdepth.errors import InputError, reading
 from dualdepth.files import atomic_path, file_digest, write_json
 
 HUB_CARD = "config.json"
-LARGE = 10_000  # Numbers from which on a tensor is kept in 8 bits, where that is asked for.
 
 
-def save_weights(path: str | Path, model: nn.Module, card: dict[str, Any], card_name: str | None = None, small: bool = False) -> None:
+def save_weights(path: str | Path, model: nn.Module | dict[str, Tensor], card: dict[str, Any], card_name: str | None = None) -> None:
     """Write weights as safetensors and beside them `<name>.json`, or `card_name`, the card, with the weights' sha256 in it.
 
-    The card goes first, so that weights are never there without one. `small` keeps them `in_8_bits`. An `InputError` says that they could
-    not be written."""
+    The card goes first, so that weights are never there without one. An `InputError` says that they could not be written."""
     path = Path(path)
-    tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in model.state_dict().items()}
-    tensors = in_8_bits(tensors) if small else tensors
+    tensors = model.state_dict() if isinstance(model, nn.Module) else model
+    tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     try:
         with atomic_path(path) as partial:
             save_file(tensors, partial)
@@ -32,15 +29,6 @@ def save_weights(path: str | Path, model: nn.Module, card: dict[str, Any], card_
             partial.chmod(beside.stat().st_mode)  # safetensors keeps its files from all others
     except (OSError, SafetensorError) as error:
         raise InputError(f"{path}: could not be written ({error}); free space, then the same command goes on from the checkpoint") from None
-
-
-def in_8_bits(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Tensors for a file of a quarter of the size: large ones as whole numbers of steps, from −127 to 127, where each output channel has a
-    step size of its own, `<name>.step`. A weight moves by at most half a step, a 254th of its channel's largest."""
-    large = {name: tensor for name, tensor in tensors.items() if tensor.numel() >= LARGE}
-    steps = {n: t.abs().amax(dim=tuple(range(1, t.ndim)), keepdim=True).clamp(min=1e-12) / 127 for n, t in large.items()}
-    rounded = {name: (tensor / steps[name]).round().to(torch.int8) for name, tensor in large.items()}
-    return tensors | rounded | {f"{name}.step": step for name, step in steps.items()}
 
 
 def load_card(path: str | Path) -> dict[str, Any]:
@@ -69,7 +57,8 @@ def finished_card(path: str | Path) -> dict[str, Any] | None:
 
 
 def load_weights(path: str | Path, model: nn.Module, prefix: str = "") -> dict[str, Any]:
-    """Fill `model` with released weights, a file with its card beside it, also those `in_8_bits`, and return their card.
+    """Fill `model` with released weights, a file with its card beside it, and return their card. Large tensors
+    may be whole numbers of 8 bits, times the step sizes `<name>.step`.
 
     The model takes the tensors whose names begin with the prefix, such as `depth_net.`, without it. An `InputError` says that the file is
     missing, truncated, changed since its card was written, or of another network."""

@@ -1,6 +1,7 @@
 """From a folder of KITTI frames to triplets, frames to score and ground truth; and what a user is told when something is missing."""
 
 import json
+import shutil
 from collections import Counter
 
 import cv2
@@ -46,6 +47,18 @@ def test_ground_truth_is_in_the_order_of_the_list_and_training_frames_with_a_sca
     assert [frame[1] for frame in frames] == [0, 2] and len(maps) == 2 and all((depth > 0).any() for depth in maps)
     write_scan(kitti, TRAIN, 2)
     assert prepared(project).baseline == len(load_ground_truth(run.prepared / "baseline_truth.npz")) == 1
+
+
+def test_other_images_of_the_same_names_are_other_data(project):
+    run, kitti, _ = project
+    kept = [run.prepared / "identity.json", run.prepared / "test_frames.json"]
+    for drive, changed in ((TRAIN, [True, False]), (TEST, [False, True])):
+        prepared(project)
+        before = [path.read_text() for path in kept]
+        path = image_of(kitti, drive, 2)
+        cv2.imwrite(str(path), cv2.imread(str(path)) // 2)
+        prepared(project)
+        assert [path.read_text() != text for path, text in zip(kept, before)] == changed
 
 
 def test_frames_to_score_that_are_missing_are_all_named_in_one_line_or_allowed_and_counted(project):
@@ -181,8 +194,15 @@ def test_a_scored_sequence_must_be_there_with_its_poses_and_not_be_trained_on_un
     with pytest.raises(InputError, match=r"sequences 00 are both trained on and scored.*ALLOW_LEAK=1"):
         prepare_data.prepare(make(test="['00']"))
     assert prepare_data.prepare(make(test="['00']", allow_leak=True)).odometry == 3
-    (root / "poses/09.txt").unlink()
-    with pytest.raises(InputError, match=r"09\.txt: the true poses of sequence 09"):
+    poses = root / "poses/09.txt"
+    poses.write_text("".join(poses.read_text().splitlines(keepends=True)[:2]))
+    with pytest.raises(InputError, match=r"09\.txt: has 2 poses, but the sequence has a frame 2"):
+        prepare_data.prepare(make())
+    (root / "sequences/09/image_2/000001.png").unlink()
+    with pytest.raises(InputError, match="image_2: frame 1 is missing"):
+        prepare_data.prepare(make())
+    poses.unlink()
+    with pytest.raises(InputError, match=r"image_2: frame 1 is missing"):
         prepare_data.prepare(make())
 
 
@@ -200,7 +220,7 @@ def test_a_folder_of_another_benchmark_is_checked_at_once(project, tmp_path, nam
 
 
 def test_every_scored_frame_needs_its_label_map(project, tmp_path):
-    run, kitti, _ = project
+    run, kitti, test_list = project
     labels = tmp_path / "labels" / TEST.split("/")[1]
     labels.mkdir(parents=True)
     (labels / "0000000000.png").touch()
@@ -209,3 +229,7 @@ def test_every_scored_frame_needs_its_label_map(project, tmp_path):
         prepare_data.prepare(run)
     (labels / "0000000002.png").touch()
     prepare_data.prepare(run)
+    shutil.copytree(kitti / TEST / "image_02", kitti / TEST / "image_03")
+    test_list.write_text(test_list.read_text() + f"{TEST} 0000000002 r\n")
+    with pytest.raises(InputError, match=r"test\.txt: lists both cameras of a frame"):
+        prepare_data.prepare(run)

@@ -245,6 +245,13 @@ def test_without_the_folder_every_row_says_how_to_get_it(run):
     assert odometry_claims(run, scores).empty
 
 
+def test_without_true_poses_of_training_sequences_the_constant_velocity_says_so_and_all_else_is_scored(run, monkeypatch):
+    monkeypatch.setattr(table_module.trajectories, "known_sequences", lambda run: [])
+    table = odometry_table(run, odometry_scores(run, [0])).query("frames == 3").set_index("method")
+    assert table.loc["Constant velocity", "reason"] == "there are no true poses of training sequences, whose mean step this would be"
+    assert table.loc["Straight ahead", "source"] == "measured"
+
+
 def test_claims_say_which_control_is_beaten(run):
     methods = {("odometry_lr", 0): (10.0, 0.02), ("odometry_lr", 1): (11.0, 0.02), ("constant", 0): (10.5, 0.01)}
     methods |= {("straight", 0): (50.0, 0.01), ("inverted", 0): (50.0, 0.01)}

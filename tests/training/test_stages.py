@@ -203,6 +203,16 @@ def test_what_hr_net_adds_is_anchored_where_frames_are_flat(batch):
         assert (stage(batch | {"images": images}).losses.total - plain).item() == pytest.approx(stage.anchor * 5 / 4, abs=1e-5)
 
 
+@pytest.mark.parametrize("residual", [False, True])
+def test_poses_are_refined_with_lr_nets_depth_while_hr_net_begins_from_nothing(encoder, asked, monkeypatch, residual):
+    given, batch = [], batch_of(1, (192, 192))
+    monkeypatch.setattr(stages, "refined", lambda images, disparity, poses, *_: given.append(disparity) or poses)
+    stage = seen_stage(False, DualNet(LRNet(encoder), residual=residual)).eval()
+    stage(batch, refine=True)
+    lr_net = stage.depth_net.lr_net(averaged(batch["images"][:, 0]) / 255).disparities[0]
+    assert torch.allclose(given[0], asked[0][2][0] if residual else lr_net, atol=1e-5) and given[0].std() > 0
+
+
 @pytest.mark.parametrize("link", ["attention", "embedding", "direct"])
 def test_the_log_has_the_scale_of_what_sa_attention_hands_over(dual_of, link):
     net, handed = dual_of(link), []
