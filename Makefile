@@ -94,4 +94,5 @@ publish: env ## copy a profile's tables and figures to results/published
 	python -m tools.publish results --profile $(call quoted,PROFILE)
 
 clean: ## remove what a profile's runs made; downloads and .venv stay
-	@name=$$(basename $(call quoted,PROFILE) | sed 's/\.ya\?ml$$//') && ! echo "$$name" | grep -qxE '|/|\.+|kitti|published|lock|home' && rm -rf "work/$$name" "results/$$name"
+	@name=$$(basename $(call quoted,PROFILE) | sed 's/\.ya\?ml$$//'); case "$$name" in \
+	    ''|/|.*|kitti|published|lock|home) echo "error: '$$name' is no profile's name" >&2; exit 2 ;; esac; rm -rf "work/$$name" "results/$$name"

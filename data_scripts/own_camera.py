@@ -49,8 +49,8 @@ def make(
     Raises:
         InputError: no camera or more than one, bad footage, a failed check, or `out` holds something else.
     """
-    if not re.fullmatch(r"[\w-]+", name):
-        raise InputError(f"--name {name!r}: a profile and its folders are called so; give letters, digits, _ and -")
+    if not re.fullmatch(r"(?!(kitti|published|lock|home)$)\w[\w-]*", name):
+        raise InputError(f"--name {name!r}: a profile and its folders are called so; give letters, digits, _ and -, not a folder of ours")
     for option, value in (("stride", stride), ("held-out", held_out)):
         if value is not None and value < 1:
             raise InputError(f"--{option} {value}: give a whole number from 1 up")

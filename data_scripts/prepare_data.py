@@ -72,8 +72,7 @@ def prepare(run: Run) -> Prepared:
     triplets = raw_triplets(root, targets)
     shown = [path for frame in scored if (path := image_path(root, frame))]
     along, followed = ([f for e in some for f in frame_files(sources.odometry_root, e).values()] for some in (sequences, scored_sequences))
-    trained = [*(path for triplet in triplets for path in triplet.paths), *along]
-    broken = broken_frames(trained, [*shown, *followed])
+    broken = broken_frames([*(path for triplet in triplets for path in triplet.paths), *along], [*shown, *followed])
     named = "; ".join(broken.values())
     if to_score := len(broken.keys() & {*shown, *followed}):
         raise InputError(f"{to_score} frames to score are broken, and {len(broken) - to_score} others: {named}")
@@ -85,7 +84,7 @@ def prepare(run: Run) -> Prepared:
     kept = [target for target, _ in whole]
     fitted = laser_frames(sources, kept, data.baseline_frames)
     write_triplets(out / "triplets.csv", root, [triplet for _, triplet in whole])
-    write_identity(run, sources, kept, [path for path in trained if path not in broken])
+    write_identity(run, sources, kept, [path for _, triplet in whole for path in triplet.paths])
     measured = partial(ground_truth, root)
     unmeasured = (np.zeros(read_image(path).shape[:2], np.float32) for path in shown)  # of an own camera
     save_ground_truth(out / "ground_truth.npz", depth_maps(scored, measured) if data.has_truth else unmeasured)
@@ -169,7 +168,7 @@ def laser_frames(sources: Sources, targets: Sequence[Frame], most: int) -> list[
 
 def files_digest(paths: Sequence[Path]) -> str:
     """Of image files' names and sizes, which tell another folder's images or another compression."""
-    return short_digest(*(f"{path.name} {path.stat().st_size}" for path in paths))
+    return short_digest(*(f"{path.name} {path.stat().st_size}" for path in dict.fromkeys(paths)))
 
 
 def write_identity(run: Run, sources: Sources, targets: Sequence[Frame], images: Sequence[Path]) -> None:

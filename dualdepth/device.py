@@ -30,7 +30,7 @@ def is_main_process() -> bool:
 
 
 def on_cpu() -> bool:
-    """Whether trainings compute on the CPU: accelerate must be told, else several processes would each work by itself."""
+    """Whether trainings compute on the CPU. Accelerate must be told: else several processes each work alone, or one on Apple's GPU."""
     return default_device().type == "cpu"
 
 

@@ -167,7 +167,7 @@ def _read(name: str) -> tuple[Path, dict[str, Any]]:
     if not path.is_file():
         raise InputError(f"profile {name!r} not found: choose one of {', '.join(known)} or give the path of a .yaml file that is there")
     if not re.fullmatch(r"(?!(kitti|published|lock|home)$)\w[\w.-]*", path.stem):  # which are folders of the project's own
-        named = "folders and commands are named by it; give the file another name, of letters, digits, . _ and -"
+        named = "folders and commands are named by it; name the file with letters, digits, . _ and -, not as a folder of ours"
         raise InputError(f"profile {name}: {named}")
     with reading(path, "give settings in YAML"):
         values = yaml.load(path.read_text(encoding="utf-8-sig"), Once)

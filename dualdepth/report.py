@@ -62,7 +62,7 @@ def make_report(run: Run) -> Report:
     training, words = run.profile.training, _WORDS["cautions"][judged]
     used = {
         "residual": training.beyond_paper_residual,
-        "anchored": training.beyond_paper_residual_anchor > 0,
+        "anchored": training.beyond_paper_residual and training.beyond_paper_residual_anchor > 0,
         "pose_encoder": training.beyond_paper_pose_encoder,
     }
     used |= {"frozen_pose": training.hr.beyond_paper_frozen_pose, "refined": training.beyond_paper_refined_after is not None}

@@ -133,7 +133,7 @@ class Loss(Settings):
     """Weights of the paper's total loss; it gives none of them.
 
     Ours lie between the lineage's ends (GeoNet and monodepth2). λ2 was the best for LR-Net, by Abs Rel and δ<1.25, of 0.01, 0.03 and 0.1
-    on synthetic streets that are scored nowhere; the others are the first that learned in a short trial on KITTI's drive 0095.
+    on synthetic streets that were scored in no run; the others are the first that learned in a short trial on KITTI's drive 0095.
     """
 
     photometric: float = Field(1.0, ge=0.0)
@@ -210,9 +210,9 @@ class Training(Settings):
     walls (`stages.corridor`), the paper's PoseNet at a rate of 1e-3. Depth then begins with motions that turn; else it
     imitates what the camera's turns should explain."""
     beyond_paper_refined_after: int | None = Field(None, ge=0)
-    """Beyond the paper: after so many steps, in a dual network's stage 2 from the first, PoseNet's poses are refined by
-    direct image alignment before images are compared (`refinement.py`), and PoseNet learns from the difference; None never does. Before
-    depth has a shape, alignment finds wrong poses."""
+    """Beyond the paper: after so many steps PoseNet's poses are refined by direct image alignment before images are compared
+    (`refinement.py`), and PoseNet learns from the difference; None never does. Before depth has a shape, alignment finds wrong poses; a
+    dual network has LR-Net's depth for it, from stage 2's first step."""
     beyond_paper_pose_encoder: PoseEncoder | None = None
     """Beyond the paper: PoseNet is such an encoder, begun like LR-Net's, with a small head behind it, as in monodepth2; depth then learns
     sooner."""

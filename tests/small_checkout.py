@@ -31,5 +31,6 @@ def prepare(run: Run, drive: str = DRIVE) -> None:
     sources = Sources(kitti_root=kitti, test_list=run.root / "test_files.txt")
     sources.save(run)
     targets = drive_triplets(kitti, [drive])
-    write_triplets(run.index("lr"), kitti, raw_triplets(kitti, targets))
-    write_identity(run, sources, targets)
+    triplets = raw_triplets(kitti, targets)
+    write_triplets(run.index("lr"), kitti, triplets)
+    write_identity(run, sources, targets, [path for triplet in triplets for path in triplet.paths])

@@ -193,7 +193,7 @@ BAD_FILES = [
 
 @pytest.mark.parametrize("name", ["kitti", "published", "lock", "home", "..", "-x", "a b"])
 def test_a_profile_cannot_have_the_name_of_a_folder_in_use(written, name):
-    with pytest.raises(InputError, match="folders and commands are named by it; give the file another name"):
+    with pytest.raises(InputError, match="folders and commands are named by it; name the file with letters"):
         load_profile(written(GOOD, name))
 
 

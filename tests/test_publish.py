@@ -107,7 +107,7 @@ def test_scores_that_publishing_itself_would_write_from_uncommitted_code_are_ref
 def test_results_beside_a_notebook_that_failed_are_refused(project, results_of):
     run = results_of("tiny")
     (run.results / "notebooks/09_x.failed.ipynb").touch()
-    with pytest.raises(InputError, match=r"09_x\.failed\.ipynb: this notebook failed; run the chain to its end first"):
+    with pytest.raises(InputError, match=r"09_x\.failed\.ipynb: this notebook failed; run the chain to its end"):
         publish_results("tiny")
 
 

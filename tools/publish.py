@@ -37,9 +37,11 @@ def publish_results(profile: str) -> int:
         InputError: the profile has no results yet, or some were made by code that was not committed.
     """
     run = Run(profile)
-    run.require(run.results / "tables", "05_table_main")
+    run.require(run.results / "tables" / "main.json", "05_table_main")
     if failed := sorted((run.results / "notebooks").glob("*.failed.ipynb")):
-        raise InputError(f"{failed[0]}: this notebook failed; run the chain to its end first")
+        raise InputError(
+            f"{failed[0]}: this notebook failed; run the chain to its end, or delete this file if its seed is not wanted any more"
+        )
     save_by_seed(run)
     dirty = [p.name for p in sorted(run.results.glob("*/*.json")) if json.loads(p.read_text(encoding="utf-8"))["dirty"]]
     if dirty:

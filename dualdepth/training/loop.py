@@ -120,7 +120,8 @@ class Trainer:
             model.forward = torch.compile(model.forward, dynamic=False)
         self.corridor_steps = model.corridor_steps
         after = self.settings.beyond_paper_refined_after
-        self.unrefined_steps = self.total if after is None else 0 if isinstance(model.depth_net, DualNet) else after
+        dual = isinstance(model.depth_net, DualNet)  # in which LR-Net's depth has a shape from the first step
+        self.unrefined_steps = self.total if after is None else 0 if dual else after
         if 0 < self.total <= self.corridor_steps:
             corridor = f"beyond_paper_corridor_steps {self.corridor_steps}"
             raise InputError(f"{corridor} leave the depth network none of {self.total} steps: lower them, or train longer")

@@ -73,7 +73,7 @@ class Stage(nn.Module):
 
         In a corridor the depth network is left out: a road between walls stands for what it would say, so that PoseNet learns alone.
         Where poses are to be refined, losses take the refined ones, and PoseNet learns from their difference to its own. They are refined
-        with the depth that learns; of a dual network whose HR-Net begins from nothing with LR-Net's, which has a shape from the first step.
+        with the depth that learns, but in a dual network without residual with LR-Net's, since its own has no shape at first.
         """
         images, matrix = to_unit(batch["images"]), batch["intrinsics"]
         seen = recoloured(images, self.colour) if self.colour and self.training else images  # by the networks; losses compare `images`
@@ -83,7 +83,7 @@ class Stage(nn.Module):
             seen, matrix = small, resize_intrinsics(matrix, 1 / 3, 1 / 3)
         # the sources' depth features are needed for the feature loss alone
         with_features = self.low and self.loss.feature > 0 and not in_a_corridor
-        poses, added, known = self.pose_net(small), None, None
+        poses, added, shaped = self.pose_net(small), None, None
         if in_a_corridor:
             disparities = corridor(matrix, images.shape[-2:], self.loss.scales)
             features = torch.zeros_like(disparities[0])[:, None]
@@ -94,7 +94,7 @@ class Stage(nn.Module):
                 network_input = network_input.contiguous(memory_format=torch.channels_last)
             if refine and self.from_nothing:
                 output, low_output = self.depth_net(network_input, self.loss.scales, with_lr_depth=True)
-                known = low_output.disparities[0]
+                shaped = low_output.disparities[0]
             else:
                 output = self.depth_net(network_input, self.loss.scales)
             added = output.added
@@ -106,8 +106,8 @@ class Stage(nn.Module):
             if refine:
                 share = small.shape[-1] / images.shape[-1]
                 small_matrix = resize_intrinsics(matrix, share, share)
-                depth = disparities[0] if known is None else known
-                poses = refined(small, depth, predicted, small_matrix, self.loss.mean_disparity)
+                shaped = disparities[0] if shaped is None else shaped
+                poses = refined(small, shaped, predicted, small_matrix, self.loss.mean_disparity)
             losses = total_loss(images, matrix, disparities, poses, self.loss, pair)
             if self.anchor and added:
                 losses = losses._replace(total=losses.total + self.anchor * anchor(added, images[:, 0]))

@@ -230,7 +230,9 @@ def test_a_residual_dual_network_gets_its_starting_scale_once_and_is_read_back(a
         "training.hr.max_steps": 1,
         "training.beyond_paper_corridor_steps": 9,
     }  # of a new PoseNet alone
-    run = after_stage_1(train={"lr": None, "dual": changes, "resnet18": {"training.beyond_paper_corridor_steps": 9}})
+    late = {"training.beyond_paper_refined_after": 3, "training.hr.max_steps": 1}
+    others = {"dual_no_sa": late, "hr_only": late, "resnet18": {"training.beyond_paper_corridor_steps": 9}}
+    run = after_stage_1(train={"lr": None, "dual": changes} | others)
     train_variant(run, "dual", 0)
     assert make_stage(run.profile, "resnet18").corridor_steps == 9  # whose PoseNet is new
     assert begun == [(1, 3, 192, 192)]
@@ -238,8 +240,10 @@ def test_a_residual_dual_network_gets_its_starting_scale_once_and_is_read_back(a
     model = load(run.weights("dual", 0))
     stage, card = make_stage(run.profile, "dual", run.weights("lr", 0)), load_card(run.weights("dual", 0))
     assert not any(parameter.any() for head in stage.depth_net.hr_net.decoder.heads for parameter in head.parameters())
-    assert model.architecture.residual and model.depth_net.floor == -8.5 and card["residual"] is card["anchored"] is True
+    assert model.architecture.residual and model.depth_net.floor == -8.5 and card["residual"] is card["anchored"] is card["refined"] is True
     assert stage.anchor == 0.125 and not load_card(run.weights("lr", 0))["anchored"]
+    for name, at_once in (("dual_no_sa", True), ("hr_only", False)):  # LR-Net's depth is there from the first step, HR-Net's is not
+        assert load_card(train_variant(run, name, 0))["refined"] == at_once
 
 
 WEIGHTS, CARD = r"/runs/lr/seed0/model\.safetensors", r"/runs/lr/seed0/model\.json"
