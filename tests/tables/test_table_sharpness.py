@@ -167,7 +167,7 @@ def test_images_without_a_pole_do_not_count_on_poles(run, monkeypatch):
 
 
 def test_real_frames_have_no_exact_depth_and_the_table_and_the_claims_say_so(run, make_run):
-    own = make_run("kitti", kitti="")
+    own = make_run("real", kitti="")
     table = details_of(own, [0])
     assert table["method"].tolist() == ["LR-Net", "LR-Net + HR-Net, w/o SA", "LR-Net + HR-Net, w/ SA"]
     assert table["reason"].eq(sharpness.NO_DENSE_TRUTH).all() and not table.select_dtypes("number").notna().any(axis=None)
